@@ -22,9 +22,9 @@ from benchmarks import roofline_report
 from warp_rigid import Settings, Simulator
 from warp_rigid.bench.cases import BenchmarkCase, find_case
 from warp_rigid.bench.measure import FPS, STAGE_STEPS, commit
-from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.simulator import choose_device
+from warp_rigid.engine.stage_times import STAGES, walk
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import approach as approaches
 from warp_rigid.kernels.collide import convex_pairs, culling
@@ -237,7 +237,7 @@ def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STE
         found.launches = launches[stage]
     limits = LIMITS["cuda" if sim.device.is_cuda else "cpu"]
     named = sim.device.name if sim.device.is_cuda else "one core of a CPU"
-    return Found(text, named, commit(), counts, work, stage_times(sim, steps), sim.memory, limits)
+    return Found(text, named, commit(), counts, work, sim.stage_times(steps), sim.memory, limits)
 
 
 def settled(case: BenchmarkCase, envs: int, device: Any, frames: int) -> Simulator:
@@ -251,7 +251,7 @@ def settled(case: BenchmarkCase, envs: int, device: Any, frames: int) -> Simulat
 
 def count(sim: Simulator) -> Counts:
     """Count the work of the next step without changing the state."""
-    (shard,) = sim._world.shards
+    (shard,) = sim.internals.shards
     shard.save(attempt=0)
     stages, pools = shard.stages, shard.pools
     pools.pairs.patch_count.fill_(-1)
@@ -267,15 +267,15 @@ def count(sim: Simulator) -> Counts:
     counted = wp.zeros((max(pairs, 1), 4), dtype=int, device=sim.device)
     inputs = [
         sim.settings.dt,
-        sim._world.model.shapes,
-        sim._world.model.bodies,
-        sim._world.state,
+        sim.internals.model.shapes,
+        sim.internals.model.bodies,
+        sim.internals.state,
         stages.motions,
         pools.pairs,
     ]
     wp.launch(count_samples, dim=pairs, inputs=inputs, outputs=[counted], device=sim.device)
     clusters, near, tested, close = (int(total) for total in counted.numpy().sum(axis=0))
-    groups = sim._world.model.size_groups[sim.scene]
+    groups = sim.internals.model.size_groups[sim.scene]
     return Counts(
         envs=sim.num_envs,
         rows=sim.num_envs * sim.num_bodies,
@@ -294,9 +294,9 @@ def count(sim: Simulator) -> Counts:
         unsettled=int(contacts[~converged].sum()),
         unsettled_rows=int((~converged).sum()) * sim.num_bodies,
         gridded=stages.grid.buckets > 0,
-        pool_clusters=sim._world.model.shapes.clusters.shape[0],
-        pool_samples=sim._world.model.shapes.samples.shape[0],
-        pool_nodes=sim._world.model.shapes.grid_value.shape[0],
+        pool_clusters=sim.internals.model.shapes.clusters.shape[0],
+        pool_samples=sim.internals.model.shapes.samples.shape[0],
+        pool_nodes=sim.internals.model.shapes.grid_value.shape[0],
     )
 
 
@@ -315,7 +315,7 @@ def sweeps_needed(sim: Simulator) -> np.ndarray:
 
 def _velocities_after(sim: Simulator, iterations: np.ndarray) -> np.ndarray:
     sim.set("contact_iterations", iterations)
-    (shard,) = sim._world.shards
+    (shard,) = sim.internals.shards
     shard.save(attempt=0)
     shard.stages.replay()
     found = np.concatenate([sim.get("linear_velocity"), sim.get("angular_velocity")], axis=-1)
@@ -327,7 +327,7 @@ def count_launches(sim: Simulator) -> dict[str, int]:
     """Number of kernels, sums, copies and fills that each stage of a step launches."""
     found: dict[str, int] = {}
     running: list[str | None] = [None]
-    (shard,) = sim._world.shards
+    (shard,) = sim.internals.shards
     shard.save(attempt=0)
     with _counted_launches(lambda: found.update({running[-1]: found.get(running[-1], 0) + 1})):
 

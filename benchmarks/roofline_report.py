@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from warp_rigid.bench.stage_times import STAGES
+from warp_rigid.engine.stage_times import STAGES
 
 if TYPE_CHECKING:
     from benchmarks.roofline import Found

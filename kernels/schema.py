@@ -67,6 +67,19 @@ Surfaces = layout(
     rise_before=Scratch(float, "vertices", "m/s", "mean vertical velocity over the previous step"),
 )
 
+Paths = layout(
+    "Paths",
+    "Kinematic bodies that follow a path, and the keyframes, which all environments of a scene share.",
+    lifetime=Lifetime.SCENE,
+    body=Field(int, "paths", "", "body that follows the path", "bodies"),
+    first=Field(int, "paths", "", "first keyframe of the path"),
+    count=Field(int, "paths", "", "number of its keyframes"),
+    loop=Field(int, "paths", "", "1: the path starts again at its end"),
+    time=Field(wp.float64, "keyframes", "s", "time of a keyframe"),
+    position=Field(wp.vec3d, "keyframes", "m", "position of the origin of the shape's frame"),
+    orientation=Field(wp.quatd, "keyframes", "", "orientation of the shape's frame"),
+)
+
 Bodies = layout(
     "Bodies",
     "Properties of the bodies. Masses and coefficients can be changed for each environment.",
@@ -83,6 +96,12 @@ Bodies = layout(
     restitution=Field(float, "bodies", "", "coefficient of restitution"),
     rolling_friction=Field(float, "bodies", "m", "rolling torque limit divided by the normal force"),
     spinning_friction=Field(float, "bodies", "m", "spinning torque limit divided by the normal force"),
+    surface_velocity=Field(
+        wp.vec3, "bodies", "m/s", "velocity with which the surface runs along the body, in the shape's frame"
+    ),
+    surface_angular_velocity=Field(
+        wp.vec3, "bodies", "rad/s", "the same for a surface that turns about the origin of the shape's frame"
+    ),
     filtered_start=Fixed(int, "bodies + 1", "", "first entry of the body's filtered pairs", "filtered"),
     filtered=Fixed(
         int,
@@ -314,7 +333,8 @@ ContactRecord = packed_record(
         wp.vec3,
         "",
         "m/s",
-        "relative velocity of the surfaces beyond that of the bodies; 0 unless ground moves or a carrier turns",
+        "relative velocity of the surfaces beyond that of the bodies; 0 unless ground moves, a surface runs or a "
+        "carrier turns",
     ),
     rolling_friction=Field(float, "", "m", "rolling friction coefficient of the pair"),
     spinning_friction=Field(float, "", "m", "spinning friction coefficient of the pair"),

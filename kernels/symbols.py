@@ -14,6 +14,8 @@ SYMBOLS = {
     "tree_nodes": "nodes of trees of triangles in the pool",
     "triangles": "triangles of meshes in the pool",
     "vertices": "vertices of moving height fields",
+    "paths": "kinematic bodies that follow a path, over all environments",
+    "keyframes": "keyframes of all distinct paths",
     "watches": "watches of each environment",
     "fields": "force fields besides gravity, over all environments",
     "field_parameters": "parameters of the force field that has most",

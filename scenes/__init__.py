@@ -35,6 +35,7 @@ _NAMES = (
     "bridge",
     "crane",
     "demolition",
+    "sorting_line",
 )
 """Files of this folder; each defines a DEMO of this name, and is imported when it is needed."""
 

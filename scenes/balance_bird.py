@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.rotations import rotate
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Mesh, Sphere, tessellation
 from warp_rigid.scenes.builders import grounds
@@ -40,6 +41,7 @@ def build(droop: float = 0.075, tilt: float = 10.0) -> Scene:
     droop = number_in("droop", droop, -0.05, 0.09)
     half = 0.5 * math.radians(number_in("tilt", tilt, 0.0, 20.0))
     scene = grounds.level_scene(name="ground", friction=FRICTION)
+    scene.camera = Camera.orbit(-40.0, 14.0)
     foot, top = PEDESTAL_RADII
     pedestal = Mesh(*tessellation.revolve([foot, top], [0.0, 0.0, TOP, TOP], 48))
     scene.add_static(pedestal, name="pedestal", friction=FRICTION)
@@ -147,5 +149,4 @@ DEMO = Demo(
     build=build,
     outcome=BirdOutcome,
     duration=5.0,
-    view=(-40.0, 14.0),
 )

@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.checks import whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment, grounds, meshes, piles
@@ -40,6 +41,7 @@ def build(bones: int = 20, seed: int = 0) -> Scene:
     bones = whole_in("bones", bones, 1, 2000)
     position, orientation = starts(bones, seed)
     scene = grounds.level_scene(name="floor", **SURFACE)
+    scene.camera = Camera.orbit(-70.0, 26.0)
     grounds.add_bin(scene, _plot_half(bones), _wall_height(bones), WALL_THICKNESS, names="wall", **SURFACE)
     scene.add_static(_funnel(bones), position=(0, 0, _opening_height(bones)), name="funnel", **SURFACE)
     shapes = {"cranium": meshes.cranium(), "pelvis": meshes.pelvis(), "femur": meshes.femur()}
@@ -133,5 +135,4 @@ DEMO = Demo(
     duration=4.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary_starts("bone_", starts),
-    view=(-70.0, 26.0),
 )

@@ -3,6 +3,7 @@
 import numpy as np
 
 from warp_rigid.checks import whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
@@ -27,6 +28,7 @@ def build(height: int = 10) -> Scene:
     """
     height = whole_in("height", height, 1, 50)
     scene = grounds.level_scene(friction=0.5, name="ground")
+    scene.camera = Camera.orbit(-75.0, 16.0)
     grounds.add_platform(scene, 0.5, 0.5, PLATFORM_TOP, friction=0.5, name="platform")
     # Each gap is larger than the one below it, so that the boxes land one after another.
     rises = [2.0 * HALF + GAP_GROWTH * (i + 1) for i in range(height)]
@@ -114,5 +116,4 @@ DEMO = Demo(
         "off": {**OFF_2003, "contact_iterations": 2},
     },
     events=events,
-    view=(-75.0, 16.0),
 )

@@ -4,6 +4,7 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.rotations import rotate
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
@@ -28,6 +29,7 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
     """
     position, orientation = piles.starts(whole_in("bodies", bodies, 1, 4096), seed)
     scene = grounds.level_scene(friction=0.5, name="floor")
+    scene.camera = Camera.orbit(-62.0, 26.0)
     piles.add_pile_bin(scene, bodies, names="wall", friction=0.5)
     bunny = meshes.bunny()
     place = position - rotate(orientation, np.tile(bunny.center_of_mass, (bodies, 1)))
@@ -65,5 +67,4 @@ DEMO = Demo(
     duration=10.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary_starts("bunny_", piles.starts),
-    view=(-62.0, 26.0),
 )

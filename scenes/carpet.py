@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.checks import number_in, whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 from warp_rigid.scenes.builders import assortment, piles
@@ -37,6 +38,7 @@ def build(bodies: int = 16, amplitude: float = 0.5, seed: int = 0) -> Scene:
     phase = -2.0 * np.pi / WAVE_LENGTH * (x + y) / 2.0**0.5
     wave = Heightfield(np.zeros_like(x), (EXTENT, EXTENT), HarmonicMotion(amplitude, FREQUENCY, phase))
     scene = Scene()
+    scene.camera = Camera.orbit(-67.0, 30.0)
     scene.add_kinematic(wave, name="carpet", **SURFACE)
     shapes = assortment.convex_solids(bodies, seed, RADIUS)
     add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)
@@ -106,5 +108,4 @@ DEMO = Demo(
     outcome=CarpetOutcome,
     duration=4.0,
     vary=vary_starts("body_", starts),
-    view=(-67.0, 30.0),
 )

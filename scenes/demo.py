@@ -32,13 +32,13 @@ SCALES = {"mm": 1e3, "%": 100.0}
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """One measured quantity of a run, and whether it meets its condition.
+    """One measured quantity of a run, and whether it meets its condition if it has one.
 
     Attributes:
         name: of the quantity, one word, used as the name of a table column.
-        values: (envs,) float, measured values.
-        limit: the condition as text, with its unit.
-        passed: (envs,) bool, whether the condition holds.
+        values: (envs,) measured values; booleans if the quantity is that the condition holds.
+        limit: the condition as text, with its unit; "" for none.
+        passed: (envs,) bool, whether the condition holds; None without a condition.
         expected: for variants of the demo by name, whether the condition must hold. Variants that are not listed
             have no expectation. SOUND if not given.
         unit: in which the values are shown, that of the condition; `values` are in SI units nevertheless.
@@ -46,8 +46,8 @@ class Verdict:
 
     name: str
     values: np.ndarray
-    limit: str
-    passed: np.ndarray
+    limit: str = ""
+    passed: np.ndarray | None = None
     expected: dict[str, bool] = field(default_factory=SOUND.copy)
     unit: str = ""
 
@@ -94,7 +94,6 @@ class Demo:
             environments start alike. A run that compares settings does not call it.
         goes_with: for settings by name and value, further settings that a sweep over that setting applies unless it
             sets them itself, so that the typical effect of the value shows in this scene.
-        view: azimuth and elevation from which pictures are taken [degree]; the azimuth counts from x toward y.
     """
 
     name: str
@@ -107,13 +106,17 @@ class Demo:
     settings: dict[str, Any] = field(default_factory=dict)
     vary: Callable[..., None] | None = None
     goes_with: dict[str, dict[Any, dict[str, Any]]] = field(default_factory=dict)
-    view: tuple[float, float] = (-67.0, 22.0)
 
     @property
     def parameters(self) -> dict[str, Any]:
         """The parameters of `build` with their defaults."""
         known = inspect.signature(self.build).parameters
         return {name: parameter.default for name, parameter in known.items()}
+
+
+def shown_settings(changes: dict[str, Any]) -> str:
+    """What a variant sets, as text."""
+    return ", ".join(f"{name}={value}" for name, value in changes.items()) or "changes nothing"
 
 
 def start_apart(sim: Any, bodies: list[int], starts: Callable[[int], tuple[np.ndarray, ...]]) -> None:

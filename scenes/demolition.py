@@ -3,6 +3,7 @@
 import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
@@ -29,6 +30,7 @@ def build(rows: int = 25, columns: int = 20, angle: float = 60.0) -> Scene:
     rows, columns = whole_in("rows", rows, 1, 25), whole_in("columns", columns, 1, 20)
     lean = np.radians(number_in("angle", angle, 10.0, 80.0))
     scene = Scene()
+    scene.camera = Camera.orbit(-35.0, 18.0)
     scene.add_static(Plane(), friction=0.6, name="ground")
     for row in range(rows):
         for column in range(columns):
@@ -85,5 +87,4 @@ DEMO = Demo(
     build=build,
     outcome=DemolitionOutcome,
     duration=3.0,
-    view=(-35.0, 18.0),
 )

@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.rotations import rotate
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
@@ -50,6 +51,7 @@ def build(dominoes: int = 60, spacing: float = 0.12, lean: float = 8.0) -> Scene
     c, s = upright[0, 3], upright[0, 2]
     upright[0] = (-s * turned[1], c * turned[1], s * turned[3], c * turned[3])
     scene = grounds.level_scene(friction=0.6, name="ground")
+    scene.camera = Camera.orbit(-60.0, 38.0)
     add_bodies(scene, Box(HALF), position, upright, names="domino", mass=MASS, friction=0.6, restitution=0.1)
     return scene
 
@@ -129,5 +131,4 @@ DEMO = Demo(
     variants={"default": {}, "two_pass": {"shock_propagation": "two_pass"}},
     # The fallen dominoes lean on each other in a row and do not stack, so shock propagation is of no use.
     settings={"shock_propagation": "off", "contact_iterations": 40},
-    view=(-60.0, 38.0),
 )

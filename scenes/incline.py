@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
@@ -34,6 +35,7 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     tilt = (0.0, math.sin(0.5 * slope), 0.0, math.cos(0.5 * slope))
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     scene = Scene()
+    scene.camera = Camera.orbit(-110.0, 24.0)
     grounds.add_ground(scene, GROUND, name="ground")
     scene.add_static(
         Box(PLATFORM_HALF),
@@ -102,5 +104,4 @@ DEMO = Demo(
         "no_contact": {"contact_iterations": 0, "shock_propagation": "off", "warm_starting": False},
         "collisions_last": {**ONE_PASS_2003, "collision_first": False},
     },
-    view=(-110.0, 24.0),
 )

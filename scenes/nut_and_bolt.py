@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, screw_threads
 from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices
@@ -29,6 +30,7 @@ def build(friction: float = 0.03) -> Scene:
     """
     friction = number_in("friction", friction, 0.0, 1.0)
     scene = grounds.level_scene(name="ground")
+    scene.camera = Camera.orbit(-60.0, 18.0)
     bolt = screw_threads.bolt(THREAD, LENGTH, HEAD_HEIGHT, ACROSS_FLATS)
     scene.add_static(bolt, position=(0, 0, HEAD_HEIGHT), friction=friction, name="bolt")
     nut = screw_threads.nut(THREAD, NUT_HEIGHT, ACROSS_FLATS)
@@ -118,5 +120,4 @@ DEMO = Demo(
     build=build,
     outcome=NutOutcome,
     duration=2.0,
-    view=(-60.0, 18.0),
 )

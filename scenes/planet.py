@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.checks import whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
@@ -48,6 +49,7 @@ def build(bodies: int = 40, seed: int = 0) -> Scene:
     bodies = whole_in("bodies", bodies, 1, 5000)
     position, orientation, velocity = starts(bodies, seed)
     scene = Scene(gravity=(0, 0, 0))
+    scene.camera = Camera.orbit(-67.0, 20.0)
     scene.add_force_field(PointField(center=(0, 0, 0), strength=STRENGTH))
     corners, faces = tessellation.geodesic(FACETS)
     scene.add_static(Mesh(PLANET_RADIUS * corners, faces, RESOLUTION), name="planet", **SURFACE)
@@ -110,5 +112,4 @@ DEMO = Demo(
     outcome=PlanetOutcome,
     duration=8.0,
     vary=vary_starts("body_", starts),
-    view=(-67.0, 20.0),
 )

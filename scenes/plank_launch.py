@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
@@ -28,6 +29,7 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
     blocks = whole_in("blocks", blocks, 1, 20)
     drop = number_in("drop", drop, 0.1, 5.0)
     scene = grounds.level_scene(friction=0.5, name="ground")
+    scene.camera = Camera.orbit(-84.0, 14.0)
     grounds.add_platform(scene, BASE_HALF[0], BASE_HALF[1], 2.0 * BASE_HALF[2], friction=0.5, name="base")
     z = 2.0 * BASE_HALF[2]
     scene.add_body(Box(PLANK_HALF), position=(PLANK_X, 0, z + PLANK_HALF[2]), mass=10.0, name="plank")
@@ -82,5 +84,4 @@ DEMO = Demo(
     outcome=LaunchOutcome,
     duration=3.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003},
-    view=(-84.0, 14.0),
 )

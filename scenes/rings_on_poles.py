@@ -11,6 +11,7 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.rotations import rotate
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Cylinder
 from warp_rigid.scenes.builders import assortment, grounds, meshes
@@ -48,6 +49,7 @@ def build(rings: int = 12, poles: int = 4, seed: int = 0) -> Scene:
     side = _side(poles)
     position, orientation = starts(rings, side, seed)
     scene = grounds.level_scene(name="ground", **SURFACE)
+    scene.camera = Camera.orbit(-67.0, 20.0)
     pole = Cylinder(POLE_RADIUS, POLE_HALF_HEIGHT)
     for i, place in enumerate(_pole_places(side)):
         scene.add_static(pole, position=(*place, POLE_HALF_HEIGHT), name=f"pole_{i}", **SURFACE)
@@ -149,5 +151,4 @@ DEMO = Demo(
     duration=8.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary,
-    view=(-67.0, 20.0),
 )

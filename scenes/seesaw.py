@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.rotations import rotate
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
@@ -34,6 +35,7 @@ def build(large_mass: float = 10.0, small_mass: float = 5.0) -> Scene:
     large_mass = number_in("large_mass", large_mass, above=0.0)
     small_mass = number_in("small_mass", small_mass, above=0.0)
     scene = grounds.level_scene(friction=0.5, name="ground")
+    scene.camera = Camera.orbit(-84.0, 14.0)
     # A cube on its edge: on a cylinder the plank would have a stable equilibrium to return to.
     side = math.sqrt(0.5) * PIVOT_HEIGHT
     scene.add_static(
@@ -108,5 +110,4 @@ DEMO = Demo(
     outcome=SeesawOutcome,
     duration=4.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003, "no_contact": {**ONE_PASS_2003, "contact_iterations": 0}},
-    view=(-84.0, 14.0),
 )

@@ -7,6 +7,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.checks import whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import assortment, piles
@@ -45,6 +46,7 @@ def build(bodies: int = 100, seed: int = 0) -> Scene:
     bodies = whole_in("bodies", bodies, 1, 20_000)
     position, orientation = starts(bodies, seed)
     scene = Scene()
+    scene.camera = Camera.orbit(-60.0, 28.0)
     half = slab_half(bodies)
     scene.add_static(Box((half, half, SLAB_HALF_HEIGHT)), position=(0, 0, -SLAB_HALF_HEIGHT), name="slab", **SURFACE)
     shapes = assortment.convex_solids(bodies, seed, RADIUS)
@@ -96,5 +98,4 @@ DEMO = Demo(
     outcome=RainOutcome,
     duration=4.0,
     vary=vary_starts("body_", starts),
-    view=(-60.0, 28.0),
 )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.files import mesh_files
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Mesh
 from warp_rigid.scenes.builders import grounds, meshes
@@ -38,6 +39,7 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
     names = ("skull" if skull is None else "skull_own", "brain" if brain is None else "brain_own")
     surface: dict[str, Any] = {"friction": 0.5, "restitution": 0.3}
     scene = grounds.level_scene(name="ground", **surface)
+    scene.camera = Camera.orbit(-75.0, 30.0)
     _add_dish(scene, surface)
     z = PLATFORM_TOP + SKULL_DROP
     for name, mesh, x in zip(names, (lower, upper), (0.0, 0.02), strict=True):
@@ -115,5 +117,4 @@ DEMO = Demo(
     outcome=MeetingOutcome,
     duration=6.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
-    view=(-75.0, 30.0),
 )

@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.checks import whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
 from warp_rigid.scenes.builders import assortment
@@ -31,6 +32,7 @@ def build(bodies: int = 16, seed: int = 0) -> Scene:
     bodies = whole_in("bodies", bodies, 1, 1000)
     position, orientation = starts(bodies, seed)
     scene = Scene()
+    scene.camera = Camera.orbit(-67.0, 34.0)
     scene.add_static(Heightfield(_heights(seed), (EXTENT, EXTENT)), name="terrain", **SURFACE)
     shapes = assortment.convex_solids(bodies, seed, RADIUS)
     add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)
@@ -107,5 +109,4 @@ DEMO = Demo(
     outcome=SlideOutcome,
     duration=5.0,
     vary=vary_starts("body_", starts),
-    view=(-67.0, 34.0),
 )

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Mesh, Sphere
 from warp_rigid.scenes.builders import grounds, stacks
@@ -36,6 +37,7 @@ def build(rows: int = 8, pyramids: int = 3) -> Scene:
     """
     rows, pyramids = whole_in("rows", rows, 2, 20), whole_in("pyramids", pyramids, 1, 20)
     scene = grounds.level_scene(name="ground", **SURFACE)
+    scene.camera = Camera.orbit(-165.0, 24.0)
     along, normal = _directions()
     foot = np.array([0.0, -RAMP_FOOT, 0.0])
     scene.add_static(_ramp(), position=foot, name="ramp", **SURFACE)
@@ -115,5 +117,4 @@ DEMO = Demo(
     build=build,
     outcome=WreckOutcome,
     duration=5.0,
-    view=(-165.0, 24.0),
 )

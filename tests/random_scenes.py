@@ -53,7 +53,8 @@ def add_ground(scene, rng):
         waves = wr.HarmonicMotion(0.01, rng.uniform(0.5, 3.0), rng.uniform(0, 3))
         scene.add_kinematic(wr.Heightfield(heights, (3.0, 3.0), waves), friction=0.6)
     else:
-        scene.add_static(wr.Box((1.5, 1.5, 0.1)), position=(0, 0, -0.1), friction=0.5)
+        belt = (0.4, 0.1, 0)
+        scene.add_static(wr.Box((1.5, 1.5, 0.1)), position=(0, 0, -0.1), friction=0.5, surface_velocity=belt)
         scene.add_static(wr.Box((0.05, 1.5, 0.3)), position=(0.4, 0, 0.3), orientation=(0, 0.1, 0, 1))
 
 
@@ -105,9 +106,13 @@ def add_mechanism(scene, rng):
 
 
 def add_movers(scene, rng):
-    """A turntable and a force field."""
+    """A turntable or a gate that follows a path, and force fields."""
     if rng.random() < 0.4:
         scene.add_kinematic(wr.Cylinder(0.2, 0.03), position=(0.3, -0.3, 0.05), angular_velocity=(0, 0, 2))
+    else:
+        turns = [(0, 0, 0, 1), (0, 0, 0.6, 0.8), (0, 0, 0, 1)]
+        path = wr.PosePath([0.05, 0.2, 0.45], [(0.3, -0.3, 0.2), (0.2, 0.1, 0.2), (0.3, -0.3, 0.2)], turns, loop=True)
+        scene.add_kinematic(wr.Box((0.2, 0.02, 0.15)), path=path, surface_angular_velocity=(0, 0, 3))
     fields = (
         wr.UniformField(tuple(rng.normal(0, 1, 3))),
         wr.PointField((0, 0, 1), rng.uniform(-1, 1)),

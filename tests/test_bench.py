@@ -12,10 +12,10 @@ from PIL import Image
 
 from tests.oracles import opened
 from warp_rigid import Settings, Simulator
-from warp_rigid.bench import measure, peers, phases
+from warp_rigid.bench import measure, notes, peers, phases
 from warp_rigid.bench.cases import STANDARD, BenchmarkCase, find_case, moving
-from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.commands import cli
+from warp_rigid.engine.stage_times import STAGES, walk
 from warp_rigid.rotations import rotate
 from warp_rigid.scenes.builders import arms, stacks
 
@@ -241,7 +241,7 @@ def test_stages_are_timed_without_a_trace(device):
     scene = BenchmarkCase("stack", 3).build()
     timed, plain = (Simulator(scene, 2, Settings(sleeping=True), device=device) for _ in range(2))
     timed.step(20), plain.step(20)
-    seconds = stage_times(timed, 3)
+    seconds = timed.stage_times(3)
     assert {"predict", "find_contacts", "solve_contacts", "propagate_shock", "update_sleep"} <= set(seconds)
     assert all(taken > 0.0 for taken in seconds.values())
     timed.step(20), plain.step(20)
@@ -438,3 +438,64 @@ def test_table_fits_and_tells_the_cold_start(capsys, monkeypatch, fake_peer):
 def test_bad_input_is_one_line(capsys, arguments, message):
     status, _, error = bench(capsys, *arguments)
     assert status == 2 and message in error and error.count("\n") == 1
+
+
+def row_of(engine, envs, seconds, **more):
+    """A row of 10 frames; processor time is wall-clock time."""
+    figures = {"scene": "s", "bodies": 2, "substeps": 4, "frames": 10, "device": "cpu", "contacts": 8 * envs}
+    times = {"seconds": seconds, "processor_seconds": seconds, "pairs": 2 * envs, "pairs_of_environments": [2, 2]}
+    return {"engine": engine, "envs": envs, **figures, **times, "quality": {"max_speed": 0.0}, **more}
+
+
+def test_notes_separate_launches_from_environments():
+    """A frame of n environments takes 90 + 10 n us: 100 us for one alone and 32.5 us for each of four."""
+    rows = [row_of("warp_rigid", n, 10 * (90e-6 + 10e-6 * n)) for n in (1, 2, 4)]
+    head, line = notes.notes(rows)
+    assert "s:2" in line and "1 to 4" in line and "100 µs to 32.5 µs" in line and "90 µs of a frame" in line
+    assert notes.notes(rows[:1]) == []
+    assert "of a frame" not in notes.notes([row_of("warp_rigid", n, 10e-6 * n) for n in (1, 4)])[1]
+
+
+def test_notes_say_what_larger_batches_have_more_of():
+    """Of another engine, one environment of four takes 1 ms a frame, the others 20 us."""
+    ours = [row_of("warp_rigid", n, 1e-3 * n, pairs_of_environments=[1, n]) for n in (1, 4)]
+    others = [
+        row_of("mujoco", 1, 200e-6, ratio=0.2, environment_seconds=[200e-6]),
+        row_of("mujoco", 4, 10.6e-3, ratio=2.65, contacts=80, quality={"max_speed": 0.5},
+               environment_seconds=[200e-6, 200e-6, 10e-3, 200e-6]),
+    ]  # fmt: skip
+    (line,) = (line for line in notes.notes([*ours, *others]) if "mujoco" in line)
+    assert "20 µs to 265 µs" in line and "ratio 0.2 to 2.6" in line and "20 µs to 1 ms by its start" in line
+    assert "contacts of an environment: 8 to 20" in line and "1 to 4 pairs" in line and "0.5 m/s" in line
+
+
+def test_notes_tell_of_other_programs():
+    rows = [row_of("warp_rigid", 1, 1.0, processor_seconds=0.25)]
+    assert "0.25 of a core" in notes.notes(rows)[-1]
+    assert notes.notes([row_of("warp_rigid", 1, 1.0, device="cuda:0", processor_seconds=0.1)]) == []
+
+
+def test_each_environment_of_another_engine_is_timed(monkeypatch):
+    monkeypatch.syspath_prepend(str(peers.FOLDER))
+    import problem
+
+    class Problem:
+        settle, frames, num_envs = 3, 5, 4
+
+    done = []
+    found = problem.timed_one_by_one(Problem(), lambda env, frames: done.append((env, frames)))
+    assert done == [(env, frames) for env in range(4) for frames in (3, 5)]
+    assert len(found["environment_seconds"]) == 4
+    assert found["processor_seconds"] == pytest.approx(sum(found["environment_seconds"]))
+
+
+def test_every_row_has_steps_contacts_and_overlap(capsys):
+    """The overlap is that of penetration() in the final state, which the row's own simulation reaches again."""
+    status, told, _ = bench(capsys, "pile_box:2", "--envs", "1,3", "--substeps", 2, "--frames", 3, "--settle", 12)
+    assert status == 0 and [(row["envs"], row["substeps"]) for row in told["rows"]] == [(1, 2), (3, 2)]
+    for row in told["rows"]:
+        sim = Simulator(BenchmarkCase("pile_box", 2).build(), row["envs"], Settings(dt=1 / 120), device="cpu")
+        BenchmarkCase("pile_box", 2).scatter(sim)
+        sim.step(30)
+        assert row["contacts"] == sim.counts()["contacts"]
+        assert row["quality"]["deepest_overlap"] == sim.penetration().max()

@@ -249,16 +249,17 @@ def test_a_newer_version_is_told(saved, tmp_path):
     assert "version must be 11, got 99" in refused(path)
 
 
-def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path):
+@pytest.mark.parametrize("name", ["restitution", "surface_velocity"])
+def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path, name):
     def forget(header):
         for body in header["scenes"][0]["bodies"]:
-            del body["restitution"]
+            del body[name]
 
     path = with_header(saved, tmp_path / "older", forget)
     parts = members(path)
-    assert parts.pop("Bodies.restitution.npy")
+    assert parts.pop(f"Bodies.{name}.npy")
     sim = Simulator.load(rewritten(tmp_path / "older", parts), device="cpu")
-    assert (sim.get("restitution") == COEFFICIENTS["restitution"].default).all()
+    assert (sim.get(name) == (COEFFICIENTS[name].default if name in COEFFICIENTS else 0.0)).all()
     del parts["Bodies.friction.npy"]
     assert "Bodies.friction" in refused(rewritten(tmp_path / "damaged", parts))
 

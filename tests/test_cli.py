@@ -124,7 +124,7 @@ def test_verdicts_name_what_is_not_as_expected(capsys):
         "scene": "s", "envs": 3, "bodies": 1, "frames": 1, "time": 1.0, "device": "cpu",
         "contacts": 0, "levels": 0, "penetration": [0.0], "deepest_penetration": [0.001],
         "env_frames_per_second": 1.0, "setup_seconds": 0.0, "failed": [], "out_of_bounds": [], "warnings": [],
-        "files": [],
+        "files": [], "variants": {},
         "labels": ["default", "off", "on"],
         "verdicts": [
             {

@@ -9,10 +9,10 @@ from PIL import Image
 from scipy.ndimage import binary_erosion
 
 from tests.fakes import FakeSimulator
-from warp_rigid import Box, Heightfield, Mesh, Plane, Scene, Simulator, Sphere
+from warp_rigid import Box, Camera, Heightfield, Mesh, Plane, Scene, Simulator, Sphere
 from warp_rigid.render.appearance import level_colors, speed_colors
-from warp_rigid.render.camera import AFTERMATH, CameraPath, event_end, fit_camera, points_to_see
 from warp_rigid.render.film import colored, film_from_recording, film_from_usd
+from warp_rigid.render.framing import AFTERMATH, CameraPath, event_end, fit_camera, points_to_see
 from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
 from warp_rigid.render.raycast import CUT, RayCaster, on_screen
 from warp_rigid.runs.recording import record
@@ -115,7 +115,7 @@ def test_ground_reaches_the_horizon():
     scene.add_static(Plane())
     scene.add_body(Sphere(RADIUS), position=(50.0, -40.0, 2.0))
     film = film_of(scene)
-    camera = fit_camera(points_to_see(film, [0]), 4 / 3, 120, (-67.0, 3.0))
+    camera = fit_camera(points_to_see(film, [0]), 4 / 3, 120, Camera.orbit(-67.0, 3.0))
     camera.grid = 1e6
     camera.haze = 1e6
     picture = RayCaster(film, camera).draw(0, 160, 120) / 255.0
@@ -173,7 +173,7 @@ def test_camera_looks_over_hills():
     i, j = np.indices((41, 41)) - 20
     scene.add_static(Heightfield(6.0 * np.exp(-(((i) ** 2 + (j + 8) ** 2) / 20.0)), (40.0, 40.0)))
     scene.add_body(Sphere(RADIUS), position=(0, 0, 1.0))
-    film = replace(film_of(scene, 2), view=(-90.0, 10.0))
+    film = replace(film_of(scene, 2), camera=Camera.orbit(-90.0, 10.0))
     camera = CameraPath([film], [0, 1, 2], 160, 90).at(0)
     picture = RayCaster(film, camera).draw(0, 160, 90) / 255.0
     assert is_colourful(picture).mean() > 0.02
@@ -185,7 +185,7 @@ def test_a_body_inside_a_ring_that_moves_is_not_cut_open():
     scene = Scene()
     scene.add_static(Mesh(post.vertices, post.faces, sdf_resolution=16))
     scene.add_body(Mesh(ring.vertices, ring.faces, sdf_resolution=16), position=(0, 0, 1))
-    film = replace(film_of(scene, 1), view=(-90.0, 5.0))
+    film = replace(film_of(scene, 1), camera=Camera.orbit(-90.0, 5.0))
     caster = RayCaster(film, CameraPath([film], [0], 160, 90).at(0))
     assert caster._instances.cut.numpy()[0] != CUT
 
@@ -203,7 +203,7 @@ def test_a_hollow_body_is_cut_open_and_a_solid_one_is_not():
         scene.add_static(shape)
         for place in places:
             scene.add_body(Sphere(RADIUS), position=place)
-        film = replace(film_of(scene, 1), view=(-90.0, 5.0))
+        film = replace(film_of(scene, 1), camera=Camera.orbit(-90.0, 5.0))
         caster = RayCaster(film, CameraPath([film], [0], 160, 90).at(0))
         assert (caster._instances.cut.numpy()[0] == CUT) == shows
         if shows:

@@ -9,7 +9,7 @@ from tests.scene_oracles import StillSimulator, about
 from warp_rigid import scenes
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Plane, Sphere
-from warp_rigid.scenes import box_stack, leaning_tower, skull_and_brain
+from warp_rigid.scenes import box_stack, leaning_tower, skull_and_brain, sorting_line
 from warp_rigid.scenes.demo import clearance
 
 
@@ -490,3 +490,40 @@ def test_carpet_measures_flights_above_the_ground_of_that_time():
     check(by_name(outcome.verdicts(sim))["sunk"], [0, 1], [True, False])
     still = scenes.get("carpet").outcome(scenes.load("carpet", bodies=1, amplitude=0.1))
     assert not still.throws
+
+
+# ---------------------------------------------------------------- sorting_line
+
+
+def test_sorting_line_counts_parcels_and_measures_their_ways():
+    outcome, sim = start("sorting_line", num_envs=2, parcels=3, speed=1.0, friction=0.5)
+    parcels = [sim.index(name) for name in ("parcel_0_small", "parcel_1_medium", "parcel_2_large")]
+    # After 0.8 s: 0.8 m with the belt, less v^2 / (2 mu g).
+    sim.time = 0.8
+    sim.arrays["position"][:, parcels, 0] += 0.8 - 0.5 / (0.5 * 9.81)
+    sim.arrays["position"][1, parcels[1], 0] += 0.02
+    outcome.observe(sim)
+    check(by_name(outcome.verdicts(sim))["way_error"], [0.0, 0.02 / 0.698], [True, False], atol=1e-4)
+    assert "sorted" not in by_name(outcome.verdicts(sim))
+    sim.time = 4.0
+    sim.arrays["position"][:, parcels[2]] = (0.3, 0.17, 0.73)
+    sim.arrays["linear_velocity"][:, parcels[2]] = [(0.5, 0.5, 0), (0.6, 0.6, 0)]
+    outcome.observe(sim)
+    sim.time = 6.0
+    sim.arrays["position"][:, parcels] = [(2.1, 0, 0.07), (2.3, 0.1, 0.1), (0.8, 0.9, 0.13)]
+    sim.arrays["position"][1, parcels[2]] = (2.0, -0.2, 0.13)
+    outcome.observe(sim)
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["sorted"], [3, 2], [True, False])
+    check(verdicts["slide"], [0.5**0.5, 0.72**0.5], [True, False])
+
+
+def test_the_arm_of_the_sorting_line_is_closed_for_large_parcels():
+    """When one is at the hinge, the arm has turned; when the next one comes, it is back."""
+    scene = scenes.load("sorting_line", parcels=7, speed=0.8)
+    path = scene.bodies[scene.index("arm")].path
+    for k in range(7):
+        way = -sorting_line.FIRST + sorting_line.PITCH * k + 0.05
+        time = way / 0.8 + 0.4 / (0.5 * 9.81)
+        angle = 2.0 * np.degrees(np.arcsin(path.at(time)[1][2]))
+        assert angle == pytest.approx(45.0 if k in (2, 5) else 0.0, abs=1e-9)

@@ -7,8 +7,8 @@ import pytest
 
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.render.camera import fit_camera, points_to_see
 from warp_rigid.render.film import film_from_recording, film_from_usd
+from warp_rigid.render.framing import fit_camera, points_to_see
 from warp_rigid.render.raycast import RayCaster
 from warp_rigid.runs.recording import Recording, record
 from warp_rigid.scene.scene import Motion, Scene

@@ -287,7 +287,7 @@ def test_an_animated_kinematic_body_follows_its_animation(tmp_path):
     layer = Sdf.Layer.FindOrOpen(str(path))
     layer.timeCodesPerSecond, layer.startTimeCode, layer.endTimeCode = 24.0, 0.0, 48.0
     layer.Save()
-    assert wr.import_usd(path, strict=True).import_report.paths[0].time[-1] == 2.0
+    assert wr.import_usd(path, strict=True).bodies[0].path.times[-1] == 2.0
     result = execute(plan_run(find_scene(str(path)), frames=150, device="cpu"), [0])
     position, orientation = result.recording.position[:, 0, 0], result.recording.orientation[:, 0, 0]
     np.testing.assert_allclose(position[30], (0.5, 0, 1), atol=1e-5)
@@ -303,7 +303,7 @@ def test_animation_of_a_static_body_is_reported(stage):
     text = rigid("Wall", "Cube", MOVING.format(flag="bool physics:rigidBodyEnabled = 0").replace("\n", ";"))
     scene = stage(text, strict=False)
     assert "animated motion is ignored" in str(scene.import_report.findings[0])
-    assert scene.import_report.paths == {}
+    assert scene.bodies[0].path is None
 
 
 GROUP = """

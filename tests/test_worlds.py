@@ -6,9 +6,11 @@ import pytest
 import warp_rigid as wr
 from warp_rigid import scenes
 from warp_rigid.engine import hash_grid
+from warp_rigid.engine.quantities import owner_of, readable
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.sweep.batch_size import SizedRun, batch_bytes, footprint_of, split_into_batches
 from warp_rigid.sweep.design import Run
+from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 
@@ -135,6 +137,69 @@ def test_bodies_are_chosen_by_name(device):
     assert sim.get("mass")[[0, 0, 1, 1], [0, 1, 1, 2]].tolist() == [7, 5, 7, 5]
     assert sim.get("linear_velocity")[[0, 1], [0, 1], 0].tolist() == [2.0, 2.0]
     assert sim.get("linear_velocity")[[0, 1], [1, 2], 0].tolist() == [0.0, 0.0]
+
+
+def hung(count):
+    """Balls above a plane, each on a string from the world."""
+    scene = pile(count=count)
+    for i in range(count):
+        scene.add_joint(wr.DistanceJoint(maximum=5.0), f"box_{i}", anchor=(0, 0, 5), name=f"string_{i}")
+    scene.add_force_field(wr.PointField((0, 0, 3), 2.0))
+    scene.add_force_field(wr.UniformField((0, 0, 1)))
+    scene.add_force_field(wr.DragField(0.1, (1, 0, 0)))
+    return scene
+
+
+@pytest.mark.parametrize("name", readable())
+def test_get_selects_as_indexing_does(device, name):
+    """In a mixed batch, for each quantity; what an environment lacks is as in the whole array."""
+    sim = wr.Simulator([hung(2), hung(4)], num_envs=2, device=device)
+    sim.step(2)
+    whole, owner = sim.get(name), owner_of(name)
+    envs = [3, 0]
+    np.testing.assert_array_equal(sim.get(name, envs=envs), whole[envs])
+    np.testing.assert_array_equal(sim.get(name, envs=slice(1, 3)), whole[1:3])
+    np.testing.assert_array_equal(sim.get(name, envs=np.array([True, False, False, True])), whole[[0, 3]])
+    if owner in ("bodies", "joints"):
+        names = {"bodies": ["box_3", "box_0"], "joints": ["string_3", "string_0"]}[owner]
+        rows = [
+            place for one in names for place, entry in enumerate(getattr(sim.scenes[1], owner)) if entry.name == one
+        ]
+        for chosen in (names, rows, np.array(rows)):
+            found = sim.get(name, envs=envs, **{owner: chosen})
+            np.testing.assert_array_equal(found, whole[np.ix_(envs, rows)])
+        np.testing.assert_array_equal(sim.get(name, **{owner: names[0]}), whole[:, rows[:1]])
+        np.testing.assert_array_equal(sim.get(name, **{owner: slice(1, None, 2)}), whole[:, 1::2])
+        view = EnvironmentView(SharedReads(sim), sim.scenes[1], np.array([1, 3]))
+        np.testing.assert_array_equal(view.get(name, envs=[1], **{owner: names}), whole[np.ix_([3], rows)])
+    else:
+        with pytest.raises(ValueError, match=f"^bodies: must not be given for {name}"):
+            sim.get(name, bodies=[0])
+
+
+def test_slices_select_what_set_changes(device):
+    sim = wr.Simulator(pile(count=3), num_envs=4, device=device)
+    sim.set("friction", 0.25, envs=slice(None, None, 2), bodies=slice(2, None))
+    changed = sim.get("friction") == 0.25
+    np.testing.assert_array_equal(changed, np.outer([True, False, True, False], [False, False, True, True]))
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        ({"bodies": "moon"}, "bodies: must be names of bodies of scene 1"),
+        ({"bodies": [5]}, "bodies: must be indices from 0 to 4 of scene 1"),
+        ({"bodies": ["box_3"], "envs": [0]}, "bodies: must be names of bodies of scene 0"),
+        ({"bodies": [1, 1]}, "bodies: must be given once each"),
+        ({"joints": "string_0"}, "joints: must not be given for position"),
+        ({"envs": [4]}, "envs: must be indices from 0 to 3"),
+    ],
+)
+def test_get_refuses_what_no_environment_has(chosen, message):
+    sim = wr.Simulator([hung(2), hung(4)], num_envs=2, device="cpu")
+    with pytest.raises(ValueError) as error:
+        sim.get("position", **chosen)
+    assert str(error.value).startswith(message) and "\n" not in str(error.value)
 
 
 def test_names_of_a_scene():

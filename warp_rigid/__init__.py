@@ -29,6 +29,7 @@ from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.render.gltf import export_gltf
 from warp_rigid.runs.recording import Recording, record
 from warp_rigid.scene import fields
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import Coefficients
 from warp_rigid.scene.fields import *  # noqa: F403
 from warp_rigid.scene.joints import (
@@ -41,6 +42,7 @@ from warp_rigid.scene.joints import (
     RevoluteJoint,
     SphericalJoint,
 )
+from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import (
     Box,
@@ -61,6 +63,7 @@ from warp_rigid.version import __version__ as __version__
 __all__ = [
     "Body",
     "Box",
+    "Camera",
     "CapacityError",
     "Capsule",
     "Choice",
@@ -81,6 +84,7 @@ __all__ = [
     "NonFiniteError",
     "Normal",
     "Plane",
+    "PosePath",
     "PrismaticJoint",
     "Recording",
     "RevoluteJoint",

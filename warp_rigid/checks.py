@@ -21,6 +21,7 @@ __all__ = [
     "numbers_of",
     "numbers_of_shape",
     "one_of",
+    "refuse_others",
     "shape_of",
     "shown",
     "suggestion",
@@ -135,7 +136,24 @@ def numbers_of_shape(name, value, shape):
     except (ValueError, TypeError) as error:
         lacks_axis = len(shape) > 1 and shape_of(value) == (shape[0], *shape[2:])
         hint = f"; one per environment has shape {(shape[0], 1, *shape[2:])}" if lacks_axis else ""
-        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {brief(value)}{hint}") from error
+        got = shown(value) if isinstance(error, TypeError) else brief(value)
+        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {got}{hint}") from error
+
+
+def refuse_others(name, values, allowed, kind):
+    """Refuse an array with numbers that are not allowed, such as NaN.
+
+    Args:
+        name: name of the values in the message.
+        values: array of numbers.
+        allowed: mask of the same shape.
+        kind: what the numbers must be, for the message.
+
+    Raises:
+        ValueError: A number is not allowed; the message has the first one.
+    """
+    if not allowed.all():
+        raise ValueError(f"{name}: must be {kind}, got {values[~allowed].flat[0]:g}")
 
 
 def flags(name, value, shape):

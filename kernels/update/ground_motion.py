@@ -1,14 +1,17 @@
-"""Moving ground: height fields whose vertices move vertically in harmonic motion.
+"""Moving ground: height fields whose vertices move vertically in harmonic motion, and surfaces that run along a body.
 
 Each environment has its own copy of such a field in the pool of shapes, so that distance queries read the current
 heights. At the start of a step, `move_ground` computes the heights from the environment's step counter. The vertical
 velocity of a vertex is its change of height over the step, so that bodies resting on the ground follow it exactly.
-`set_surface_velocity` then assigns the surface velocity to each contact. Restitution uses the surface velocity of the
-previous step, which equals the velocity of a resting body, so that resting bodies do not bounce.
+`set_surface_velocity` then assigns the surface velocity to each contact. Restitution uses the velocity of the ground in
+the previous step, which equals the velocity of a resting body, so that resting bodies do not bounce. The surface of a
+conveyor belt or a turntable runs in its tangent plane only, and does not change with time.
 """
 
 import warp as wp
 
+from warp_rigid.kernels.common.surfaces import runs, tangential_running
+from warp_rigid.kernels.constraints.contact import carrier_velocity
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Contacts, Environments, Motions, Pairs, Shapes, State, Surfaces
 
@@ -54,10 +57,10 @@ def drive_ground(shapes: Shapes, bodies: Bodies, envs: Environments, motions: Mo
 
 
 @wp.func
-def surface_velocity(
+def ground_velocity(
     body: int, x: wp.vec3, before: int, first: int, shapes: Shapes, bodies: Bodies, state: State, surfaces: Surfaces
 ):
-    """Velocity of a body's surface at a world point relative to the body [m/s]; zero except for moving ground."""
+    """Velocity of moving ground at a world point, relative to its body [m/s]; zero for other bodies."""
     shape = bodies.shape[body]
     if shapes.shapes[shape].rise == 0.0:
         return wp.vec3(0.0, 0.0, 0.0)
@@ -86,26 +89,33 @@ def surface_velocity(
 def set_surface_velocity(
     before: int,
     first: int,
+    dt: float,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
     envs: Environments,
+    motions: Motions,
     surfaces: Surfaces,
     pairs: Pairs,
     contacts: Contacts,
 ):
-    """One thread per contact: surface velocity of moving ground; with `before`, that of the last step (restitution)."""
+    """One thread per contact: velocity of moving ground, with `before` that of the last step, and of running surfaces.
+
+    It is added to that of a turning carrier.
+    """
     c = wp.tid()
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
         return
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
-    if shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise == 0.0:
+    rises = shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise > 0.0
+    if not (rises or runs(a, bodies) or runs(b, bodies)):
         return
     x = contacts.position[c]
     earlier = before * envs.collision_first[bodies.env[a]]
-    v = surface_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)
-    v -= surface_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
-    contacts.rows[c].surface = v
+    v = ground_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)
+    v -= ground_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
+    v += tangential_running(a, b, x, contacts.rows[c].normal, bodies, state)
+    contacts.rows[c].surface = carrier_velocity(a, b, dt, motions) + v
     if wp.length_sq(v) > 0.0:
         contacts.rows[c].more = 1.0

@@ -5,6 +5,7 @@ They are not a stage of the recorded step: they read what it left, and change on
 
 import warp as wp
 
+from warp_rigid.kernels.common.surfaces import runs
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, WarningKind
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.schema import Bodies, Environments, History, Motions, Pairs, Shapes, State
@@ -165,7 +166,8 @@ def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, sta
     for b in range(first, envs.first_body[env + 1]):
         health = state.health[b]
         if bodies.motion[b] != Motion.DYNAMIC:
-            if health[GAINED] > wp.float64(0.0) or shapes.shapes[bodies.shape[b]].rise > 0.0:
+            moved = health[GAINED] > wp.float64(0.0) or shapes.shapes[bodies.shape[b]].rise > 0.0
+            if moved or runs(b, bodies):
                 driven = 1
             state.health[b] = wp.vec4d()
         else:

@@ -6,13 +6,15 @@ falls asleep when all its bodies are ready and it is in contact with a static bo
 
 The pose of sleeping bodies does not change, and their contacts are kept in the history. Their pairs are *dormant*: they
 are listed, but neither searched for contacts nor solved. A whole island is woken when one of its bodies is changed by
-the user, when a static body that it touches is moved or switched off, or when a moving body touches it. The last is
-detected between the narrow phase and the solver, so that the impact acts in the same step.
+the user, when a static body that it touches is moved or switched off, when the surface of a body that it touches runs,
+or when a moving body touches it. The last is detected between the narrow phase and the solver, so that the impact acts
+in the same step.
 """
 
 import warp as wp
 
 from warp_rigid.kernels.collide.broadphase import may_meet
+from warp_rigid.kernels.common.surfaces import runs
 from warp_rigid.kernels.constraints.build_contacts import store_contact
 from warp_rigid.kernels.enums import Motion, Role
 from warp_rigid.kernels.schema import (
@@ -76,14 +78,17 @@ def has_changed(b: int, state: State, motions: Motions, sleep_state: SleepState)
 
 @wp.kernel
 def find_changed(bodies: Bodies, state: State, motions: Motions, sleep_state: SleepState, envs: Environments):
-    """One thread per body: mark bodies that were changed since the last step. A moved static body counts as kinematic.
+    """One thread per body: mark bodies that were changed since the last step, and those whose surface runs.
 
-    Only in environments with sleeping enabled, so that others do not depend on the settings of these.
+    A moved static body counts as kinematic. Only in environments with sleeping enabled, so that others do not depend on
+    the settings of these.
     """
     b = wp.tid()
     role = motions.role[b]
     if role == Role.ABSENT or role == Role.FREE or envs.sleeping[bodies.env[b]] == 0:
         return
+    if runs(b, bodies):
+        sleep_state.disturbed[b] = 1
     if has_changed(b, state, motions, sleep_state):
         sleep_state.disturbed[b] = 1
         envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
@@ -213,7 +218,8 @@ def test_support_for_sleep(pairs: Pairs, motions: Motions, bodies: Bodies, graph
     if bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
         return
     upper = wp.where(bodies.motion[a] == Motion.DYNAMIC, a, b)
-    if motions.role[a] == Role.KINEMATIC or motions.role[b] == Role.KINEMATIC:
+    moves = motions.role[a] == Role.KINEMATIC or motions.role[b] == Role.KINEMATIC
+    if moves or runs(a, bodies) or runs(b, bodies):
         sleep_state.keeps_awake[graph.island[upper]] = 1
     else:
         sleep_state.supported[graph.island[upper]] = 1

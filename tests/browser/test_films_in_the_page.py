@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -110,3 +111,22 @@ def test_command_serves_the_page_and_ends_with_ctrl_c(page):
     finally:
         if process.poll() is None:
             process.kill()
+
+
+def test_every_loop_of_a_page_of_its_own_shows_the_same_picture(page, recording, tmp_path):
+    """A short film of bodies that lie still: each picture of six loops is the first one."""
+    still = film_from_recording(recording)
+    still = replace(
+        still, position=still.position[-1:].repeat(3, axis=0), orientation=still.orientation[-1:].repeat(3, axis=0)
+    )
+    path = tmp_path / "film.html"
+    save_html(still, path)
+    page.goto(path.as_uri() + "?fixedDpr=1")
+    page.wait_for_selector("canvas")
+    page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
+    page.wait_for_timeout(3000)
+    first = picture(page, tmp_path / "first.png")
+    assert first.std(axis=(0, 1)).max() > 8.0
+    for _ in range(24):
+        page.wait_for_timeout(250)
+        assert changed(first, picture(page, tmp_path / "later.png")) == 0

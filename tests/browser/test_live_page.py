@@ -275,3 +275,29 @@ def test_scene_is_built_again_with_other_parameters(stage):
     live.type_number("Height", 4)
     live.page.get_by_role("button", name="Restart with these").click()
     live.until(lambda: live.session.sim.num_bodies == before - 6, "the stack has four boxes")
+
+
+def test_dragging_a_fixed_body_says_that_it_is_fixed(stage):
+    live = stage("seesaw")
+    x, y = live.on_screen(live.session.sim.get("position")[0, body(live.session, "pivot")])
+    live.page.mouse.move(x, y)
+    live.page.mouse.down()
+    for part in range(8):
+        live.page.mouse.move(x + 4.0 * part, y - 4.0 * part)
+        live.page.wait_for_timeout(60)
+    live.page.mouse.up()
+    live.page.get_by_text("pivot: is static").first.wait_for()
+
+
+def test_all_bodies_are_beside_the_panel(stage):
+    """On a page that the panel narrows by half, every corner of every moving body is in view."""
+    live = stage("seesaw")
+    sim, box = live.session.sim, live.canvas()
+    live.page.wait_for_timeout(2000)
+    for index, data in enumerate(live.session.plan.scene.bodies):
+        if data.motion == 2:
+            lower, upper = np.asarray(data.shape.bounds)
+            for corner in np.ndindex(2, 2, 2):
+                point = sim.get("position")[0, index] + np.where(corner, upper, lower)
+                x, y = live.on_screen(point)
+                assert box["x"] < x < box["x"] + box["width"] and box["y"] < y < box["y"] + box["height"]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from warp_rigid.bench.measure import OURS
+from warp_rigid.bench.notes import duration
 from warp_rigid.files.atomic import atomic_file
 
 MARKERS = "oxsd^v"
@@ -71,7 +72,7 @@ def _draw_stages(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
             axes.barh(i, 100.0 * share / total, left=ends[i], color=f"C{k % 10}", hatch="//" * (k // 10), label=label)
             ends[i] += 100.0 * share / total
     labels = [
-        f"{r['scene']}:{r['bodies']} × {r['envs']}\n{_duration(t)} per step" for r, t in zip(rows, totals, strict=True)
+        f"{r['scene']}:{r['bodies']} × {r['envs']}\n{duration(t)} per step" for r, t in zip(rows, totals, strict=True)
     ]
     axes.set_yticks(range(len(rows)), labels, fontsize=7)
     axes.set(xlabel="share of a step [%]", xlim=(0, 100))
@@ -82,7 +83,3 @@ def _draw_stages(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
 def _device(row: dict[str, Any]) -> str:
     """The device of a row, with the number of cores if it is a CPU."""
     return f"CPU, {row['cores']} cores" if row["device"] == "cpu" else row["device_name"]
-
-
-def _duration(seconds: float) -> str:
-    return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} µs"

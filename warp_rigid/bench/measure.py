@@ -12,7 +12,6 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.bench.cases import BenchmarkCase, moving
-from warp_rigid.bench.stage_times import stage_times
 from warp_rigid.diagnostics.machine import versions
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.engine.settings import Settings
@@ -65,7 +64,7 @@ def prepare(case: BenchmarkCase, conditions: Conditions, device: Any) -> tuple[S
     settings = Settings(dt=1.0 / (FPS * conditions.substeps), sleeping=conditions.sleeping)
     sim = Simulator(case.build(), conditions.envs, settings, device=device)
     case.scatter(sim)
-    sim._world.shards.record()  # here and not in the timed frames
+    sim.prepare()
     wp.synchronize_device(sim.device)
     return sim, time.perf_counter() - begin
 
@@ -96,7 +95,7 @@ def figures(
         **work(sim),
         "quality": quality(case, sim, sim.get("position")[:, rows], sim.get("linear_velocity")[:, rows]),
         "failed_envs": int((sim.status()["status"] != "ok").sum()),
-        "stage_seconds": stage_times(sim, STAGE_STEPS),
+        "stage_seconds": sim.stage_times(STAGE_STEPS),
     }
 
 
@@ -114,11 +113,13 @@ def rates(case: BenchmarkCase, conditions: Conditions, seconds: float, processor
 
 
 def work(sim: Simulator) -> dict[str, Any]:
-    """Contacts and levels of the last step, and the largest fraction of each pool's capacity used so far."""
+    """Contacts, pairs and levels of the last step, and the largest fraction of each pool's capacity used so far."""
     counts = sim.counts()
+    pairs, _ = sim.pairs_and_contacts()
     return {
         "contacts": counts["contacts"],
         "pairs": counts["pairs"],
+        "pairs_of_environments": [int(pairs.min()), int(pairs.max())],
         "levels": counts["levels"],
         "pair_capacity_used": counts["most_pairs"] / counts["pair_capacity"],
         "contact_capacity_used": counts["most_contacts"] / counts["contact_capacity"],

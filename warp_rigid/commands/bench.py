@@ -2,7 +2,8 @@
 
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,44 +11,84 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from warp_rigid.bench import measure, peers
 from warp_rigid.bench.cases import STANDARD, find_case
+from warp_rigid.bench.measure import Conditions
+from warp_rigid.bench.notes import duration, notes
+from warp_rigid.bench.phases import UNTIL, measure_phases
+from warp_rigid.bench.startup import start_up
+from warp_rigid.commands.options import AsJson, Device, takes
 from warp_rigid.commands.terminal import check_outputs, check_writable, console, note
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.progress_bar import progress
 
 
-def bench_command(
+@dataclass(frozen=True)
+class BenchOptions:
+    """Options of `warp-rigid bench`."""
+
     scenes: Annotated[
         list[str] | None,
         typer.Argument(
             help="NAME:BODIES with the name stack, pile_box, pile_torus, pile_bunny, rings, pyramid, kapla or arm; a "
             f"built-in scene; or a .py file with a function scene(). Default: {', '.join(STANDARD)}."
         ),
-    ] = None,
-    envs: Annotated[str, typer.Option(help="Numbers of environments, such as 1024,4096.")] = "1",
-    substeps: Annotated[str, typer.Option(help="Numbers of steps per frame of 1/60 s, such as 1,4.")] = "4",
-    frames: Annotated[int | None, typer.Option(help="Number of timed frames. Default: 60.")] = None,
-    settle: Annotated[int | None, typer.Option(help="Number of untimed frames before them. Default: 120.")] = None,
+    ] = None
+    envs: Annotated[str, typer.Option(help="Numbers of environments, such as 1024,4096.")] = "1"
+    substeps: Annotated[str, typer.Option(help="Numbers of steps per frame of 1/60 s, such as 1,4.")] = "4"
+    frames: Annotated[int | None, typer.Option(help="Number of timed frames. Default: 60.")] = None
+    settle: Annotated[int | None, typer.Option(help="Number of untimed frames before them. Default: 120.")] = None
     phases: Annotated[
         bool, typer.Option("--phases", help="Time the first second, the second second, and a second at rest.")
-    ] = False,
+    ] = False
     until: Annotated[
         float | None, typer.Option(help="With --phases: latest start of the last second, in seconds. Default: 10.")
-    ] = None,
-    sleeping: Annotated[bool, typer.Option("--sleeping", help="Enable sleeping.")] = False,
-    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
-    json_lines: Annotated[str | None, typer.Option(help="Append one JSON line per run to this file.")] = None,
-    output: Annotated[str | None, typer.Option("-o", "--output", help="Plot of all runs, .png.")] = None,
+    ] = None
+    sleeping: Annotated[bool, typer.Option("--sleeping", help="Enable sleeping.")] = False
+    device: Device = None
+    json_lines: Annotated[str | None, typer.Option(help="Append one JSON line per run to this file.")] = None
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Plot of all runs, .png.")] = None
     peers: Annotated[
         str | None,
         typer.Option(help="Engines to compare with: newton_steel, newton_xpbd, mujoco_warp, mujoco, rapier, pybullet."),
-    ] = None,
+    ] = None
     peer_python: Annotated[
         list[str] | None, typer.Option(help="Python interpreter of an engine, as name=path; repeatable.")
-    ] = None,
-    cold: Annotated[bool, typer.Option("--cold", help="Also time the first frame in a new process.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-) -> int:
+    ] = None
+    cold: Annotated[bool, typer.Option("--cold", help="Also time the first frame in a new process.")] = False
+    as_json: AsJson = False
+
+    def check(self) -> None:
+        """Check the times, and that the files can be written.
+
+        Raises:
+            ValueError: A time is out of its range, or options cannot be combined.
+        """
+        times = (("--frames", self.frames, 1), ("--settle", self.settle, 0), ("--until", self.until, 2))
+        for name, value, least in times:
+            if value is not None and not least <= value <= 1e6:
+                raise ValueError(f"{name}: must be from {least} to 1000000, got {value:g}")
+        others = (self.frames, self.settle, self.peers, self.output)
+        if self.phases and any(option is not None for option in others):
+            raise ValueError("--phases: cannot be combined with --frames, --settle, --peers and --output")
+        if self.until is not None and not self.phases:
+            raise ValueError("--until: needs --phases")
+        check_outputs(None, {self.output: (".png",)} if self.output else {})
+        if self.json_lines:
+            check_writable(self.json_lines)
+
+    def runs(self, cases: Sequence[Any]) -> list[tuple[Any, Conditions]]:
+        """Each case with each number of steps and environments."""
+        sizes, steps = _numbers("--envs", self.envs), _numbers("--substeps", self.substeps)
+        settle = 120 if self.settle is None else self.settle
+        return [
+            (case, Conditions(size, substep, settle, self.frames or 60, self.sleeping))
+            for case, substep, size in itertools.product(cases, steps, sizes)
+        ]
+
+
+@takes(BenchOptions)
+def bench_command(options: BenchOptions) -> int:
     """Measure scenes: environment frames/s, body steps/s, time per stage, contacts, capacity used, solution quality.
 
     Sleeping is off by default. The settling frames are not timed.
@@ -56,57 +97,38 @@ def bench_command(
     The overlap of their final states is measured with the same code.
     On the CPU this engine uses all cores and the others one; ratios there compare processor time.
 
+    With several numbers of environments it says why the cost of one environment changes.
+
     With --phases each scene runs from its start until it rests: moving bodies cost more than resting ones.
     """
-    from warp_rigid.bench import measure
-    from warp_rigid.bench import peers as other
-
-    cases = [find_case(text) for text in scenes or STANDARD]
-    sizes, steps = _numbers("--envs", envs), _numbers("--substeps", substeps)
-    _check_times(frames, settle, until, phases, peers is not None or output is not None)
-    chosen = other.choose_peers(peers, peer_python)
-    check_outputs(None, {output: (".png",)} if output else {})
-    if json_lines:
-        check_writable(json_lines)
-    found = choose_device(device)
+    cases = [find_case(text) for text in options.scenes or STANDARD]
+    runs = options.runs(cases)
+    options.check()
+    chosen = peers.choose_peers(options.peers, options.peer_python)
+    found = choose_device(options.device)
     machine = measure.surroundings(found)
     rows: list[dict[str, Any]] = []
     faults: set[str] = set()
-    started = {str(case): _start_up(str(case), str(found)) for case in cases} if cold else {}
-    runs = [
-        (case, measure.Conditions(size, substep, 120 if settle is None else settle, frames or 60, sleeping))
-        for case, substep, size in itertools.product(cases, steps, sizes)
-    ]
+    started = {str(case): start_up(str(case), str(found)) for case in cases} if options.cold else {}
     with progress("bench", len(runs) * (1 + len(chosen))) as advance:
         for case, conditions in runs:
-            if phases:
-                done = [{**machine, **row} for row in _phases(case, conditions, found, until)]
+            if options.phases:
+                done = [{**machine, **row} for row in measure_phases(case, conditions, found, options.until or UNTIL)]
             else:
                 done = [{**machine, **row} for row in _engines(case, conditions, found, chosen)]
                 measure.compare(done)
             _report({f"{row['engine']}: {case}: {row['fault']}" for row in done if "fault" in row}, faults)
-            _append(done, json_lines)
+            _append(done, options.json_lines)
             rows += done
             advance(len(rows))
-    if output:
-        _draw(rows, output)
-    files = [path for path in (json_lines, output) if path]
-    if as_json:
+    if options.output:
+        _draw(rows, options.output)
+    files = [path for path in (options.json_lines, options.output) if path]
+    if options.as_json:
         print(json.dumps({"rows": rows, "start_up": started, "files": files}))
-        return 0
-    _print(rows, started, files, phases)
+    else:
+        _print(rows, started, files, options.phases)
     return 0
-
-
-def _check_times(frames: int | None, settle: int | None, until: float | None, phases: bool, others: bool) -> None:
-    """Check the options for times; `others` are options that cannot be combined with --phases."""
-    for name, value, least in (("--frames", frames, 1), ("--settle", settle, 0), ("--until", until, 2)):
-        if value is not None and not least <= value <= 1e6:
-            raise ValueError(f"{name}: must be from {least} to 1000000, got {value:g}")
-    if phases and (others or frames is not None or settle is not None):
-        raise ValueError("--phases: cannot be combined with --frames, --settle, --peers and --output")
-    if until is not None and not phases:
-        raise ValueError("--until: needs --phases")
 
 
 def _numbers(name: str, text: str) -> list[int]:
@@ -116,21 +138,12 @@ def _numbers(name: str, text: str) -> list[int]:
     return [int(part) for part in parts]
 
 
-def _start_up(case: str, device: str) -> dict[str, Any]:
-    from warp_rigid.bench.startup import start_up
-
-    return start_up(case, device)
-
-
 def _engines(case: Any, conditions: Any, device: Any, chosen: dict[str, str]) -> Iterator[dict[str, Any]]:
     """Rows of this engine and of the others; the simulator is released before the next run allocates memory."""
-    from warp_rigid.bench import measure
-    from warp_rigid.bench import peers as other
-
     row, sim = measure.measure(case, conditions, device)
     yield row
     for name, python in chosen.items():
-        yield other.run_peer(name, python, case, conditions, sim)
+        yield peers.run_peer(name, python, case, conditions, sim)
 
 
 def _report(found: set[str], reported: set[str]) -> None:
@@ -138,12 +151,6 @@ def _report(found: set[str], reported: set[str]) -> None:
     for text in sorted(found - reported):
         note(text)
     reported |= found
-
-
-def _phases(case: Any, conditions: Any, device: Any, until: float | None) -> list[dict[str, Any]]:
-    from warp_rigid.bench.phases import UNTIL, measure_phases
-
-    return measure_phases(case, conditions, device, UNTIL if until is None else until)
 
 
 def _append(rows: list[dict[str, Any]], json_lines: str | None) -> None:
@@ -164,17 +171,19 @@ def _draw(rows: list[dict[str, Any]], output: str) -> None:
 ENGINES = (
     ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "used", "overlap")
     + ("error", "lost", "m/s", "ratio"),
-    "frames/s: all environments; per core: per second of processor time; used: largest used share of a "
-    "buffer; overlap: deepest overlap [mm]; error: maximum error of stack height, or gap of a joint [mm]; "
-    "lost: escaped bodies; ratio: speed of warp_rigid over that engine",
+    "steps: of a frame of 1/60 s; frames/s: all environments; per core: per second of processor time; contacts: of all "
+    "environments at the end; used: largest used share of a buffer; overlap: deepest overlap at the end [mm], measured "
+    "independently of contacts; error: maximum error of stack height, or gap of a joint [mm]; lost: escaped bodies; "
+    "m/s: largest speed at the end; ratio: speed of warp_rigid over that engine",
 )
 """Columns of the table of engines, and their explanation."""
 PHASES = (
     ("scene", "envs", "steps", "phase", "frames/s", "per core", "contacts", "used", "overlap", "at end", "median")
     + ("error", "lost", "m/s"),
-    "frames/s: all environments; per core: per second of processor time; used: largest used share of a buffer; "
-    "overlap: deepest overlap during the phase and at its end, and the median over environments at its end [mm]; "
-    "error: maximum error of stack height, or gap of a joint [mm]; lost: escaped bodies",
+    "steps: of a frame of 1/60 s; frames/s: all environments; per core: per second of processor time; contacts: of all "
+    "environments at the end; used: largest used share of a buffer; overlap: deepest overlap during the phase and at "
+    "its end, and the median over environments at its end [mm], measured independently of contacts; error: maximum "
+    "error of stack height, or gap of a joint [mm]; lost: escaped bodies; m/s: largest speed at the end",
 )
 """The same of the table of phases."""
 
@@ -191,6 +200,8 @@ def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]
             table.add_row(*(escape(cells[name]) for name in names))
     out.print(table, highlight=False)
     out.print(explanation, style="dim", markup=False, highlight=False)
+    for line in notes(rows):
+        out.print(line, highlight=False, markup=False)
     for row in rows:
         if "rest" in row:
             out.print(_rest(row), highlight=False, markup=False)
@@ -260,7 +271,7 @@ def _stages(row: dict[str, Any]) -> str:
     largest = sorted(row["stage_seconds"].items(), key=lambda item: -item[1])
     parts = ", ".join(f"{name} {seconds / total:.0%}" for name, seconds in largest if seconds >= 0.02 * total)
     phase = f", {row['phase']}" if "phase" in row else ""
-    return f"{_title(row)}{phase}, {row['levels']} levels: {1e6 * total:.4g} µs/step: {parts}"
+    return f"{_title(row)}{phase}, {row['levels']} levels: {duration(total)}/step: {parts}"
 
 
 def _title(row: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.terminal import console
 
 FAULTY = 1
@@ -12,7 +13,7 @@ FAULTY = 1
 
 def doctor_command(
     device: Annotated[str | None, typer.Option(help="Test only this device, such as cpu or cuda:0.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Show versions, devices and caches, test each device, and suggest a fix for each failure."""
     from warp_rigid.diagnostics.machine import examine

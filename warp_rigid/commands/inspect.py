@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 from warp_rigid.checks import suggestion
+from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.terminal import check_outputs, console
 from warp_rigid.diagnostics.mesh_report import inspect_mesh, parse_slice, save_slice
 from warp_rigid.scene.shapes import Mesh
@@ -21,7 +22,7 @@ def inspect_command(
         str | None, typer.Option("--slice", help="Plane of the slice, such as z=0.05. Default: the middle in z.")
     ] = None,
     sdf_resolution: Annotated[int, typer.Option(help="Grid cells along the longest side.")] = 64,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Report mass properties, repairs, surface samples and signed distance error of a mesh."""
     if cut and not output:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.sweep import FAILED_RUNS, print_result
 
 
@@ -16,7 +17,7 @@ def merge_command(
     plot_y: Annotated[str | None, typer.Option(help="Metric on the y axis of the plot.")] = None,
     plot_kind: Annotated[str | None, typer.Option(help="Kind of plot: line, heatmap or scatter.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing table.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Merge the tables of the shards of a sweep. Missing runs count as failed."""
     from warp_rigid.sweep import merge

@@ -1,8 +1,8 @@
 """`warp-rigid run`: simulate a scene, evaluate its outcome and write animations and images."""
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,14 +10,24 @@ import typer
 from rich.table import Table
 
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.commands.terminal import check_outputs, check_writable, console, continued, note, told_if_interrupted
+from warp_rigid.commands.options import AsJson, Device, Envs, Seed, SimulatedScene, takes
+from warp_rigid.commands.terminal import (
+    CAMERA_HELP,
+    check_outputs,
+    check_writable,
+    console,
+    continued,
+    note,
+    told_if_interrupted,
+)
 from warp_rigid.files.atomic import check_unread
 from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
+from warp_rigid.runs.recording import Recording
 from warp_rigid.runs.user_code import UserCodeError
-from warp_rigid.scenes.demo import shown_value
+from warp_rigid.scenes.demo import shown_settings, shown_value
 from warp_rigid.usd import ImportReport, UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
 
@@ -28,17 +38,18 @@ MAX_COLUMNS = 8
 """Maximum number of environments with a column of their own in the table of verdicts."""
 
 
-def run_command(
-    context: typer.Context,
-    scene: Annotated[
-        str, typer.Argument(help="Built-in scene, .py file with a function scene(), or USD, MJCF or URDF file.")
-    ],
-    envs: Annotated[int | None, typer.Option(help="Number of environments.")] = None,
-    frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None,
-    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
-    substeps: Annotated[int | None, typer.Option(help="Steps per frame; sets dt.")] = None,
-    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the random numbers of the scene.")] = None,
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of `warp-rigid run`."""
+
+    context: typer.Context
+    scene: SimulatedScene
+    envs: Envs = None
+    frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None
+    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0
+    substeps: Annotated[int | None, typer.Option(help="Steps per frame; sets dt.")] = None
+    device: Device = None
+    seed: Seed = None
     assignments: Annotated[
         list[str] | None,
         typer.Option(
@@ -47,117 +58,167 @@ def run_command(
             help="Scene parameter, setting or body property; repeatable. "
             "A list NAME=A,B,C sets one value per environment.",
         ),
-    ] = None,
-    compare: Annotated[
-        bool, typer.Option("--compare", help="Simulate one environment per variant of the scene.")
-    ] = False,
-    output: Annotated[
-        str | None, typer.Option("-o", "--output", help="Animation: .usdc, .usda, .usdz or .glb.")
-    ] = None,
-    usd_envs: Annotated[str | None, typer.Option(help="Environments in animations and images: 0,5,7 or all.")] = None,
+    ] = None
+    compare: Annotated[bool, typer.Option("--compare", help="Simulate one environment per variant of the scene.")] = (
+        False
+    )
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Animation: .usdc, .usda, .usdz or .glb.")] = None
+    usd_envs: Annotated[str | None, typer.Option(help="Environments in animations and images: 0,5,7 or all.")] = None
     usd_profile: Annotated[
         str, typer.Option(help="animation (instances), scene (with physics) or auto (scene for up to 2000 bodies).")
-    ] = "auto",
+    ] = "auto"
     usd_layout: Annotated[
         str,
         typer.Option(
             help="single (one file), payloads (one file per environment), clips (one file per 24 frames) or override "
             "(a layer over the imported stage that animates its own prims)."
         ),
-    ] = "single",
-    usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Include contact points and impulses.")] = False,
-    picture: Annotated[str | None, typer.Option(help="Image of the last frame, .png.")] = None,
-    film: Annotated[str | None, typer.Option(help="Video, .gif or .mp4.")] = None,
-    contact_sheet: Annotated[str | None, typer.Option(help="Image of eight frames, .png.")] = None,
-    html: Annotated[str | None, typer.Option(help="Standalone page that plays the animation, .html.")] = None,
-    color: Annotated[str, typer.Option(help="Colour bodies by body, environment, level, speed or asleep.")] = "body",
-    checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file. Default: SCENE.ckpt.")] = None,
-    checkpoint_every: Annotated[int | None, typer.Option(help="Write a checkpoint every so many frames.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint if it exists.")] = False,
+    ] = "single"
+    usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Include contact points and impulses.")] = False
+    picture: Annotated[str | None, typer.Option(help="Image of the last frame, .png.")] = None
+    film: Annotated[str | None, typer.Option(help="Video, .gif or .mp4.")] = None
+    contact_sheet: Annotated[str | None, typer.Option(help="Image of eight frames, .png.")] = None
+    html: Annotated[str | None, typer.Option(help="Standalone page that plays the animation, .html.")] = None
+    camera: Annotated[str | None, typer.Option(help=CAMERA_HELP)] = None
+    color: Annotated[str, typer.Option(help="Colour bodies by body, environment, level, speed or asleep.")] = "body"
+    checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file. Default: SCENE.ckpt.")] = None
+    checkpoint_every: Annotated[int | None, typer.Option(help="Write a checkpoint every so many frames.")] = None
+    resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint if it exists.")] = False
     memory_limit: Annotated[
         str | None, typer.Option(help="Bytes such as 8000000000, or a fraction of the device memory such as 0.5.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-) -> int:
+    ] = None
+    as_json: AsJson = False
+
+    @property
+    def written(self) -> list[str]:
+        """Paths of the animation and the images."""
+        return [path for path in (self.output, self.picture, self.film, self.contact_sheet, self.html) if path]
+
+    @property
+    def usd(self) -> UsdOptions:
+        """How USD files are written."""
+        return UsdOptions(self.usd_profile, self.color, self.usd_layout, self.usd_contacts)
+
+    @property
+    def to_usd(self) -> str | None:
+        """Path of the USD file."""
+        return None if self.output is None or self.output.endswith(".glb") else self.output
+
+    @property
+    def overrides(self) -> bool:
+        """Whether the USD file is a layer over the imported stage."""
+        return self.usd_layout == "override"
+
+    @property
+    def streamed(self) -> str | None:
+        """Path of the USD file to which frames are written as they are simulated.
+
+        A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
+        """
+        return None if self.overrides or self.checkpoint_every is not None or self.resume else self.to_usd
+
+    def check(self) -> None:
+        """Check what can be checked without the scene.
+
+        Raises:
+            ValueError: An option is out of its range, or does not suit another one.
+            OSError: A file cannot be written.
+        """
+        written = self.written
+        if len(set(written)) < len(written):
+            raise ValueError(f"{max(written, key=written.count)}: is given for two outputs")
+        films = {self.picture: (".png",), self.film: (".gif", ".mp4"), self.contact_sheet: (".png",)}
+        pictures = {**films, self.html: (".html",)}
+        check_outputs(self.output, {path: endings for path, endings in pictures.items() if path})
+        self.check_unread([self.scene])
+        one_of("--color", self.color, COLORINGS)
+        usd = self.usd
+        if self.to_usd:
+            usd.check_path(Path(self.to_usd))
+
+    def check_unread(self, read: Iterable[str]) -> None:
+        """Check that no file that is read is overwritten."""
+        check_unread([*self.written, self.checkpoint or ""], read)
+
+    def plan(self) -> runner.Plan:
+        """The run, with checks of the options that need the scene."""
+        plan = runner.plan_run(
+            runner.find_scene(self.scene),
+            self.assignments or (),
+            num_envs=self.envs,
+            compare=self.compare,
+            frames=self.frames,
+            fps=self.fps,
+            substeps=self.substeps,
+            device=self.device,
+            seed=self.seed,
+            memory_limit=_memory_limit(self.memory_limit),
+            camera=self.camera,
+        )
+        self.check_unread(plan.scene.import_report.files if plan.scene.import_report else ())
+        return plan
+
+    def checkpoints(self, plan: runner.Plan) -> Checkpoints:
+        """When and where checkpoints are written."""
+        path = Path(self.checkpoint or f"{plan.demo.name}.ckpt")
+        if self.checkpoint_every is not None:
+            whole_in("--checkpoint-every", self.checkpoint_every, 1, 10**9)
+            check_writable(path)
+        if self.resume and not path.exists():
+            note(f"{path}: no checkpoint found, starting from the beginning")
+        return Checkpoints(path, self.checkpoint_every, self.resume)
+
+    def recorded(self, plan: runner.Plan) -> list[int] | None:
+        """Environments in animations and images; None for all."""
+        chosen = _recorded_envs(self.usd_envs, plan.sim.num_envs) if self.written else []
+        if self.overrides and plan.scene.import_report is None:
+            raise ValueError(f"--usd-layout: override requires a scene from a USD file, got {self.scene}")
+        if self.overrides and (plan.sim.num_envs if chosen is None else len(chosen)) != 1:
+            raise ValueError("--usd-envs: must name one environment for --usd-layout override")
+        return chosen
+
+
+@takes(RunOptions)
+def run_command(options: RunOptions) -> int:
     """Simulate a scene, evaluate its outcome, and write animations and images.
 
     Exit status 6: a verdict is not as expected.
     """
-    written = [path for path in (output, picture, film, contact_sheet, html) if path]
-    if len(set(written)) < len(written):
-        raise ValueError(f"{max(written, key=written.count)}: is given for two outputs")
-    pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
-    check_outputs(output, {path: endings for path, endings in pictures.items() if path})
-    kept = [*written, checkpoint or ""]
-    check_unread(kept, [scene])
-    one_of("--color", color, COLORINGS)
-    usd = UsdOptions(usd_profile, color, usd_layout, usd_contacts)
-    to_usd = output is not None and not output.endswith(".glb")
-    if output and to_usd:
-        usd.check_path(Path(output))
-    plan = runner.plan_run(
-        runner.find_scene(scene),
-        assignments or (),
-        num_envs=envs,
-        compare=compare,
-        frames=frames,
-        fps=fps,
-        substeps=substeps,
-        device=device,
-        seed=seed,
-        memory_limit=_memory_limit(memory_limit),
-    )
-    check_unread(kept, plan.scene.import_report.files if plan.scene.import_report else ())
-    if checkpoint_every is not None:
-        whole_in("--checkpoint-every", checkpoint_every, 1, 10**9)
-        check_writable(checkpoint or f"{plan.demo.name}.ckpt")
-    checkpoints = Checkpoints(Path(checkpoint or f"{plan.demo.name}.ckpt"), checkpoint_every, resume)
-    if resume and not checkpoints.path.exists():
-        note(f"{checkpoints.path}: no checkpoint found, starting from the beginning")
-    chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
+    options.check()
+    plan = options.plan()
+    checkpoints = options.checkpoints(plan)
+    chosen = options.recorded(plan)
     _print_import_report(plan.scene.import_report)
-    # A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
-    override = usd_layout == "override"
-    if override and plan.scene.import_report is None:
-        raise ValueError(f"--usd-layout: override requires a scene from a USD file, got {scene}")
-    if override and (plan.sim.num_envs if chosen is None else len(chosen)) != 1:
-        raise ValueError("--usd-envs: must name one environment for --usd-layout override")
-    streamed = output if to_usd and not override and checkpoint_every is None and not resume else None
-    done, failure = _FramesDone(plan.frames), None
-    with told_if_interrupted(lambda: done.kept(streamed, checkpoints, context), lambda: done.count > 0):
-        try:
-            if streamed:
-                result = _execute_to_usd(plan, streamed, chosen, usd, done)
-            else:
-                with progress(plan.demo.name, plan.frames) as advance:
-                    result = runner.execute(
-                        plan,
-                        chosen,
-                        done.then(advance),
-                        checkpoints,
-                        velocities=color == "speed",
-                        contacts=usd_contacts,
-                    )
-        except UserCodeError as error:
-            if error.kept is None or not error.kept.summary["frames"]:
-                raise
-            result, failure = error.kept, error
-    if output and not streamed:
-        _export(result.recording, output, usd)
-    if picture or film or contact_sheet or html:
-        from warp_rigid.viewer.film_files import film_to_draw
-
-        drawn = film_to_draw(result.recording, color, usd=output if to_usd and not override else None)
-        drawn = replace(drawn, view=plan.demo.view)
-        _draw(drawn, picture, film, contact_sheet, html)
-    summary = {**result.summary, "files": written}
-    if as_json:
+    result, failure = _execute(options, plan, chosen, checkpoints)
+    if options.output and not options.streamed:
+        _export(result.recording, options.output, options.usd)
+    _draw(options, result.recording)
+    summary = {**result.summary, "files": options.written}
+    if options.as_json:
         print(json.dumps(summary))
     else:
         _print_summary(summary)
     if failure is not None:
         raise failure
     return _status(summary["failed"]) or (0 if all(_judged(summary["verdicts"])) else UNEXPECTED)
+
+
+def _execute(
+    options: RunOptions, plan: runner.Plan, chosen: list[int] | None, checkpoints: Checkpoints
+) -> tuple[runner.Result, UserCodeError | None]:
+    """The result of the run, or up to an error of the user's code, and that error."""
+    done = _FramesDone(plan.frames)
+    with told_if_interrupted(lambda: done.kept(options, checkpoints), lambda: done.count > 0):
+        try:
+            with progress(plan.demo.name, plan.frames) as advance:
+                if options.streamed:
+                    return _execute_to_usd(plan, options.streamed, chosen, options.usd, done.then(advance)), None
+                velocities, contacts = options.color == "speed", options.usd_contacts
+                return runner.execute(plan, chosen, done.then(advance), checkpoints, velocities, contacts), None
+        except UserCodeError as error:
+            if error.kept is None or not error.kept.summary["frames"]:
+                raise
+            return error.kept, error
 
 
 def _memory_limit(text: str | None) -> int | float | None:
@@ -185,33 +246,31 @@ class _FramesDone:
 
         return on_frame
 
-    def kept(self, streamed: str | None, checkpoints: Checkpoints, context: typer.Context) -> str:
+    def kept(self, options: RunOptions, checkpoints: Checkpoints) -> str:
         """What an interrupted run has kept, and how to continue it."""
         text = f"after {self.count} of {self._total} frames; "
         every = checkpoints.every
         if every is not None and self.count >= every:
             frame = self.count - self.count % every
-            return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(context)}"
-        if streamed:
-            return (
-                text + f"kept {streamed} with {self.count + 1} frames; to be able to continue, use --checkpoint-every N"
-            )
+            return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(options.context)}"
+        if options.streamed:
+            text += f"kept {options.streamed} with {self.count + 1} frames"
+            return f"{text}; to be able to continue, use --checkpoint-every N"
         return text + "nothing was kept; to be able to continue, use --checkpoint-every N"
 
 
 def _execute_to_usd(
-    plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions, done: _FramesDone
+    plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions, on_frame: Callable[[int], None]
 ) -> runner.Result:
     """Run and stream each frame to the file, so that memory stays constant and an interrupted run keeps its frames."""
     labels = plan.labels if envs is None else [plan.labels[env] for env in envs]
-    with UsdStream(plan.sim, path, plan.fps, envs, labels, **vars(options)) as stream:
-        with progress(plan.demo.name, plan.frames) as advance:
+    with UsdStream(plan.sim, path, plan.fps, envs, labels, plan.camera, **vars(options)) as stream:
 
-            def capture(frame: int) -> None:
-                stream.capture(plan.sim)
-                advance(frame)
+        def capture(frame: int) -> None:
+            stream.capture(plan.sim)
+            on_frame(frame)
 
-            return runner.execute(plan, [], done.then(capture))
+        return runner.execute(plan, [], capture)
 
 
 def _print_import_report(report: ImportReport | None) -> None:
@@ -246,16 +305,19 @@ def _export(recording, path: str, options: UsdOptions) -> None:
         export_usd(recording, path, **vars(options))
 
 
-def _draw(drawn, picture, film, contact_sheet, html) -> None:
+def _draw(options: RunOptions, recording: Recording) -> None:
     """Write the requested images, videos and pages."""
+    if not (options.picture or options.film or options.contact_sheet or options.html):
+        return
     from warp_rigid.render.images import save_contact_sheet, save_picture
-    from warp_rigid.viewer.film_files import write_film
+    from warp_rigid.viewer.film_files import film_to_draw, write_film
 
+    drawn = film_to_draw(recording, options.color, usd=None if options.overrides else options.to_usd)
     for save, path in (
-        (save_picture, picture),
-        (save_contact_sheet, contact_sheet),
-        (write_film, film),
-        (write_film, html),
+        (save_picture, options.picture),
+        (save_contact_sheet, options.contact_sheet),
+        (write_film, options.film),
+        (write_film, options.html),
     ):
         if path:
             save(drawn, path)
@@ -273,6 +335,7 @@ def _print_summary(summary: dict[str, Any]) -> None:
         f"{summary['env_frames_per_second']:.4g} environment frames/s, {_frame_seconds(summary):.3g} s/frame "
         f"(setup {summary['setup_seconds']:.2g} s)",
     ]
+    lines += [f"{name}: {shown_settings(changes)}" for name, changes in summary["variants"].items()]
     lines += [
         f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
         for record in summary["failed"] + summary["out_of_bounds"]
@@ -285,7 +348,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
         out.print(line, highlight=False, markup=False)
     if summary["verdicts"]:
         out.print(_verdict_table(summary), highlight=False)
-        out.print(_conclusion(summary["verdicts"]), highlight=False, markup=False)
+        if any(verdict["passed"] is not None for verdict in summary["verdicts"]):
+            out.print(_conclusion(summary["verdicts"]), highlight=False, markup=False)
     for path in summary["files"]:
         out.print(f"wrote {path}", highlight=False, markup=False)
 
@@ -298,7 +362,8 @@ def _frame_seconds(summary: dict[str, Any]) -> float:
 
 def _verdict_table(summary: dict[str, Any]) -> Table:
     """One row per verdict; one column per environment if there are at most MAX_COLUMNS."""
-    table = Table("verdict", "condition", box=None, pad_edge=False)
+    conditions = any(verdict["limit"] for verdict in summary["verdicts"])
+    table = Table("outcome", *(["condition"] if conditions else []), box=None, pad_edge=False)
     few = summary["envs"] <= MAX_COLUMNS
     if few:
         for env, label in enumerate(summary["labels"]):
@@ -308,25 +373,26 @@ def _verdict_table(summary: dict[str, Any]) -> Table:
         table.add_column("from")
         table.add_column("to")
     for verdict in summary["verdicts"]:
-        rows = list(zip(verdict["values"], verdict["passed"], verdict["expected"], strict=True))
+        values, passed, count = verdict["values"], verdict["passed"], len(verdict["values"])
         if few:
+            rows = zip(values, passed or [None] * count, verdict["expected"], strict=True)
             cells = [_cell(*row, verdict["unit"]) for row in rows]
         else:
-            passed = sum(verdict["passed"])
-            color = "green" if passed == len(rows) else "red"
-            cells = [f"[{color}]{passed} of {len(rows)}[/]"]
-            cells += [shown_value(pick(verdict["values"]), verdict["unit"]) for pick in (min, max)]
-        table.add_row(verdict["name"], verdict["limit"], *cells)
+            holds = "" if passed is None else f"[{'green' if all(passed) else 'red'}]{sum(passed)} of {count}[/]"
+            ends = [] if isinstance(values[0], bool) else [min(values), max(values)]
+            cells = [holds, *(shown_value(value, verdict["unit"]) for value in ends)]
+        table.add_row(verdict["name"], *([verdict["limit"]] if conditions else []), *cells)
     return table
 
 
-def _cell(value: float, passed: bool, expected: bool | None, unit: str) -> str:
-    answer, shown = "yes" if passed else "no", shown_value(value, unit)
+def _cell(value: float | bool, passed: bool | None, expected: bool | None, unit: str) -> str:
+    answer = {None: "", True: "yes", False: "no"}[passed]
+    shown = "" if isinstance(value, bool) else shown_value(value, unit)
     if expected is None:
-        return f"{shown} {answer}"
+        return f"{shown} {answer}".strip()
     if passed == expected:
-        return f"{shown} [green]{answer}{'' if passed else ', as expected'}[/]"
-    return f"{shown} [red]{answer}, NOT AS EXPECTED[/]"
+        return f"{shown} [green]{answer}{'' if passed else ', as expected'}[/]".strip()
+    return f"{shown} [red]{answer}, NOT AS EXPECTED[/]".strip()
 
 
 def _judged(verdicts: list[dict[str, Any]]) -> list[bool]:
@@ -334,6 +400,7 @@ def _judged(verdicts: list[dict[str, Any]]) -> list[bool]:
     return [
         passed == expected
         for verdict in verdicts
+        if verdict["passed"] is not None
         for passed, expected in zip(verdict["passed"], verdict["expected"], strict=True)
         if expected is not None
     ]
@@ -343,7 +410,8 @@ def _conclusion(verdicts: list[dict[str, Any]]) -> str:
     """Summarise how many verdicts are as expected."""
     judged = _judged(verdicts)
     if not judged:
-        return "no verdict is expected with changed settings or a shortened run"
+        found = [passed for verdict in verdicts for passed in verdict["passed"] or []]
+        return f"{sum(found)} of {len(found)} verdicts hold; nothing is expected of this run"
     return f"{sum(judged)} of {len(judged)} verdicts as expected"
 
 

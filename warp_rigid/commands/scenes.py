@@ -1,17 +1,16 @@
 """`warp-rigid scenes`: list the built-in scenes."""
 
 import json
-from typing import Annotated
 
-import typer
 from rich.table import Table
 
 from warp_rigid import scenes
+from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.terminal import console
 
 
 def scenes_command(
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List the built-in scenes with their parameters and the variants used by --compare."""
     demos = [scenes.get(name) for name in scenes.names()]

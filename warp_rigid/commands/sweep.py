@@ -3,20 +3,23 @@
 import json
 import re
 import time
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
 
+from warp_rigid.commands.options import AsJson, SimulatedScene, takes
 from warp_rigid.commands.terminal import check_writable, console, continued, note, told_if_interrupted
 
 FAILED_RUNS = 5
 
 
-def sweep_command(
-    context: typer.Context,
-    scene: Annotated[
-        str, typer.Argument(help="Built-in scene, .py file with a function scene(), or USD, MJCF or URDF file.")
-    ],
+@dataclass(frozen=True)
+class SweepOptions:
+    """Options of `warp-rigid sweep`."""
+
+    context: typer.Context
+    scene: SimulatedScene
     vary: Annotated[
         list[str] | None,
         typer.Option(
@@ -24,66 +27,85 @@ def sweep_command(
             help="Sweep axis, repeatable: scene parameter, setting or body property. VALUES: 0.1:1.0:10 (first, last, "
             "count), A,B,C, 0.1:1.0 (uniform), or uniform(..), log_uniform(..), normal(..), integers(..), choice(..).",
         ),
-    ] = None,
+    ] = None
     assignments: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Fixed value for all runs; repeatable.")
-    ] = None,
+    ] = None
     metrics: Annotated[
         str | None, typer.Option(help="Metric names, outcome, or .py files with functions of the simulator: A,B,my.py.")
-    ] = None,
+    ] = None
     observe: Annotated[
         str | None,
         typer.Option(
             help="Observers, read at every sample: peak_impulse, first_contact[BODY], .. or .py files: A,B,my.py."
         ),
-    ] = None,
+    ] = None
     series: Annotated[
         str | None,
         typer.Option(help="Observers whose time series are kept in the folder TABLE.series: A,B[BODY]."),
-    ] = None,
+    ] = None
     series_output: Annotated[
         str | None, typer.Option(help="Folder of the time series, .zarr. Default: Parquet files in TABLE.series.")
-    ] = None,
-    design: Annotated[str, typer.Option(help="Design: grid, zip, random or lhs.")] = "grid",
-    samples: Annotated[int | None, typer.Option(help="Number of points of the designs random and lhs.")] = None,
-    repeats: Annotated[int, typer.Option(help="Runs per point, with consecutive seeds.")] = 1,
-    seed: Annotated[int | None, typer.Option(help="Seed of the design and of the random numbers of the scene.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Simulated seconds. Default: duration of the scene.")] = None,
-    fps: Annotated[float, typer.Option(help="State samples per simulated second.")] = 4.0,
-    batch: Annotated[str, typer.Option(help="Maximum number of environments per batch, or auto.")] = "auto",
+    ] = None
+    design: Annotated[str, typer.Option(help="Design: grid, zip, random or lhs.")] = "grid"
+    samples: Annotated[int | None, typer.Option(help="Number of points of the designs random and lhs.")] = None
+    repeats: Annotated[int, typer.Option(help="Runs per point, with consecutive seeds.")] = 1
+    seed: Annotated[int | None, typer.Option(help="Seed of the design and of the random numbers of the scene.")] = None
+    duration: Annotated[float | None, typer.Option(help="Simulated seconds. Default: duration of the scene.")] = None
+    fps: Annotated[float, typer.Option(help="State samples per simulated second.")] = 4.0
+    batch: Annotated[str, typer.Option(help="Maximum number of environments per batch, or auto.")] = "auto"
     device: Annotated[
         str | None, typer.Option(help="Device, such as cpu or cuda:0, or all for every GPU of this machine.")
-    ] = None,
-    output: Annotated[str | None, typer.Option("-o", "--output", help="Table, .parquet.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Keep the finished rows of an existing table.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing table.")] = False,
-    trajectories: Annotated[str | None, typer.Option(help="Trajectories of all runs, .zarr.")] = None,
-    plot: Annotated[str | None, typer.Option(help="Plot, .png or .svg.")] = None,
-    plot_x: Annotated[str | None, typer.Option(help="Axis on the x axis of the plot.")] = None,
-    plot_y: Annotated[str | None, typer.Option(help="Metric on the y axis of the plot.")] = None,
-    plot_kind: Annotated[str | None, typer.Option(help="Kind of plot: line, heatmap or scatter.")] = None,
+    ] = None
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Table, .parquet.")] = None
+    resume: Annotated[bool, typer.Option("--resume", help="Keep the finished rows of an existing table.")] = False
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing table.")] = False
+    trajectories: Annotated[str | None, typer.Option(help="Trajectories of all runs, .zarr.")] = None
+    plot: Annotated[str | None, typer.Option(help="Plot, .png or .svg.")] = None
+    plot_x: Annotated[str | None, typer.Option(help="Axis on the x axis of the plot.")] = None
+    plot_y: Annotated[str | None, typer.Option(help="Metric on the y axis of the plot.")] = None
+    plot_kind: Annotated[str | None, typer.Option(help="Kind of plot: line, heatmap or scatter.")] = None
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Run only every N-th run, starting with the I-th.")
-    ] = None,
+    ] = None
     cluster: Annotated[
         str | None,
         typer.Option(help="local, the address of a Dask scheduler, or a .py file with a function cluster()."),
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Worker processes of --cluster local.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-) -> int:
+    ] = None
+    workers: Annotated[int | None, typer.Option(help="Worker processes of --cluster local.")] = None
+    as_json: AsJson = False
+
+    def arguments(self, axes: dict[str, Any], measured: tuple) -> dict[str, Any]:
+        """The arguments of `sweep` by name, but for the scene and the progress."""
+        plain = ("design", "samples", "repeats", "seed", "duration", "fps", "device", "output", "resume", "overwrite")
+        return {
+            **{name: getattr(self, name) for name in (*plain, "trajectories", "series_output", "workers")},
+            "axes": axes,
+            "fixed": _fixed(self.assignments or ()),
+            "metrics": measured,
+            "batch": _batch(self.batch),
+            "observe": split_names(self.observe),
+            "series": split_names(self.series),
+            "shard": _shard(self.shard),
+            "cluster": _cluster(self.cluster),
+            "command": self.context.obj,
+        }
+
+
+@takes(SweepOptions)
+def sweep_command(options: SweepOptions) -> int:
     """Simulate a scene over a range of parameters and write one table row per run."""
     from warp_rigid.sweep import sweep
     from warp_rigid.sweep.axes import parse_axis
     from warp_rigid.sweep.metrics import check_metrics
     from warp_rigid.sweep.result_plots import check_plot
 
-    axes = _by_name(map(parse_axis, vary or ()), "--vary")
-    measured = check_metrics(metrics.split(",") if metrics else None)
+    axes, plot, output = _by_name(map(parse_axis, options.vary or ()), "--vary"), options.plot, options.output
+    measured = check_metrics(options.metrics.split(",") if options.metrics else None)
     if plot:
-        check_plot(plot, plot_kind)
+        check_plot(plot, options.plot_kind)
         check_writable(plot)
-        _check_columns(plot_x, plot_y, axes, measured)
+        _check_columns(options.plot_x, options.plot_y, axes, measured)
     start = time.perf_counter()
     finished = [0, 0]
 
@@ -93,39 +115,15 @@ def sweep_command(
     def kept() -> str:
         if output is None:
             return "nothing was kept; to be able to continue, use -o FILE.parquet"
-        return f"{output} has the {finished[0]} runs finished so far; to continue: {continued(context)}"
+        return f"{output} has the {finished[0]} runs finished so far; to continue: {continued(options.context)}"
 
     with told_if_interrupted(kept, lambda: finished[0] > 0):
-        result = sweep(
-            scene,
-            axes,
-            fixed=_fixed(assignments or ()),
-            metrics=measured,
-            design=design,
-            samples=samples,
-            repeats=repeats,
-            seed=seed,
-            duration=duration,
-            fps=fps,
-            batch=_batch(batch),
-            device=device,
-            output=output,
-            resume=resume,
-            overwrite=overwrite,
-            trajectories=trajectories,
-            observe=split_names(observe),
-            series=split_names(series),
-            series_output=series_output,
-            shard=_shard(shard),
-            cluster=_cluster(cluster),
-            workers=workers,
-            on_progress=on_progress,
-            command=context.obj,
-        )
+        result = sweep(options.scene, **options.arguments(axes, measured), on_progress=on_progress)
     seconds = time.perf_counter() - start
     if plot:
-        result.plot(plot, plot_x, plot_y, plot_kind)
-    print_result(result, [path for path in (output, trajectories, series_output, plot) if path], as_json, seconds)
+        result.plot(plot, options.plot_x, options.plot_y, options.plot_kind)
+    files = [path for path in (output, options.trajectories, options.series_output, plot) if path]
+    print_result(result, files, options.as_json, seconds)
     return FAILED_RUNS if result.failed else 0
 
 

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.terminal import console, note
 
 BAD_FILE = 2
@@ -15,7 +16,7 @@ usd_app = typer.Typer(help="Check and convert USD files.", no_args_is_help=True)
 @usd_app.command("check")
 def check_command(
     file: Annotated[str, typer.Argument(help="USD file: .usd, .usda, .usdc or .usdz.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Run the validators of the USD library and of this package. Exit status 2 if they report a problem."""
     from warp_rigid.usd.check import check_usd

@@ -11,6 +11,7 @@ import warp as wp
 from rich.markup import escape
 from rich.table import Table
 
+from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.terminal import check_outputs, console
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.files.atomic import atomic_file
@@ -26,7 +27,7 @@ def validate_command(
     output: Annotated[
         str | None, typer.Option("-o", "--output", help="Folder for plots, results.json and table.md.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
     compare_shock: Annotated[
         bool, typer.Option("--compare-shock", help="Compare shock propagation with its alternatives instead.")
     ] = False,

@@ -136,10 +136,10 @@ class Shards:
         """Whether the recorded step includes sleeping."""
         return self._shards[0].sleeping
 
-    def choose(self, dt: float, repetitions: int, sleeping: bool) -> None:
+    def choose(self, dt: float, repetitions: int, sleeping: bool, running: bool) -> None:
         """Choose what the step consists of; the arguments are those of Stages."""
         for shard in self._shards:
-            shard.choose(dt, repetitions, sleeping)
+            shard.choose(dt, repetitions, sleeping, running)
 
     def record(self) -> None:
         """Record the step where this is needed, one shard after another."""

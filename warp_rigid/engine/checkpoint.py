@@ -27,6 +27,7 @@ from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.pair_contacts import BY_AXIS
 from warp_rigid.kernels.declare import Lifetime
 from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.scene.scene import SURFACE_VELOCITIES
 from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.version import __version__
 
@@ -101,7 +102,7 @@ def restore(world: World, header: dict[str, Any], arrays: Mapping[str, np.ndarra
         CapacityError: the capacity is too small for the contacts of the last step.
     """
     used = {name: whole_in(f"used {name}", header["used"][name], 0, LARGEST) for name in NAMES}
-    newer = _newer_coefficients(header)
+    newer = _newer_quantities(header)
     rows = {
         name: own if name in newer else _checked(name, own, arrays, used, world) for name, own in _stored(world).items()
     }
@@ -187,10 +188,10 @@ def _history(world: World) -> dict[str, np.ndarray]:
     return {name: np.concatenate(some) for name, some in parts.items()}
 
 
-def _newer_coefficients(header: dict[str, Any]) -> set[str]:
-    """Arrays of the coefficients that were declared after the file was written: they keep their defaults."""
+def _newer_quantities(header: dict[str, Any]) -> set[str]:
+    """Arrays of the quantities of bodies that were declared after the file was written: they keep their defaults."""
     known = {name for scene in header["scenes"] for body in scene["bodies"] for name in body}
-    return {f"Bodies.{name}" for name in COEFFICIENTS if name not in known}
+    return {f"Bodies.{name}" for name in (*COEFFICIENTS, *SURFACE_VELOCITIES) if name not in known}
 
 
 def _checked(

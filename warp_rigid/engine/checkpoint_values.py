@@ -10,7 +10,7 @@ from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.world import World
 from warp_rigid.kernels.enums import JointNumber
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Motion, check_mass
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, check_mass
 
 FLAGS = ("State.active", "State.fallen", "SleepState.asleep", "SleepState.disturbed", "Joints.broken")
 """Arrays of 0 and 1."""
@@ -40,6 +40,11 @@ def check(world: World, rows: Mapping[str, np.ndarray]) -> None:
     for name, coefficient in COEFFICIENTS.items():
         _finite(f"Bodies.{name}", rows[f"Bodies.{name}"])
         coefficient.check_array(rows[f"Bodies.{name}"])
+    dynamic = world.model.bodies.motion.numpy() == Motion.DYNAMIC
+    for name in SURFACE_VELOCITIES:
+        _finite(f"Bodies.{name}", rows[f"Bodies.{name}"])
+        if rows[f"Bodies.{name}"][dynamic].any():
+            raise ValueError(f"Bodies.{name} must be 0 for dynamic bodies")
     _finite("Environments.gravity", rows["Environments.gravity"])
     _finite("State.orientation", rows["State.orientation"], _of_unit_length, "quaternions of length 1")
     _check_masses(world, rows)

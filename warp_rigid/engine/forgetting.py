@@ -18,7 +18,7 @@ from warp_rigid.kernels.declare import Lifetime
 
 def reset(world: World, envs: Any) -> None:
     """Reset environments to their initial state; see Simulator.reset."""
-    chosen = env_indices(world.layout, envs)
+    chosen = env_indices(world.num_envs, envs)
     if not len(chosen):
         return
     for arrays in world.lasting:

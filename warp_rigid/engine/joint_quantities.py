@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, flags, numbers_of_shape
+from warp_rigid.checks import LARGEST, flags, numbers_of_shape, refuse_others
 from warp_rigid.engine.joints import NAME
 from warp_rigid.engine.layout import concatenated, spread_rows
 from warp_rigid.engine.selection import existing
@@ -58,10 +58,11 @@ def check_range(name: str, values: np.ndarray) -> None:
     Raises:
         ValueError: one of them is out of its range.
     """
-    finite = not np.isnan(values).any() if name in INFINITE else np.isfinite(values).all()
-    if not finite or (name not in NEGATIVE and (values < 0.0).any()):
-        kind = "numbers" if name in NEGATIVE else "numbers >= 0"
-        raise ValueError(f"{name}: must be {kind if name in INFINITE else 'finite ' + kind}")
+    allowed = ~np.isnan(values) if name in INFINITE else np.isfinite(values)
+    if name not in NEGATIVE:
+        allowed &= values >= 0.0
+    kind = "numbers" if name in NEGATIVE else "numbers >= 0"
+    refuse_others(name, values, allowed, kind if name in INFINITE else f"finite {kind}")
 
 
 def write(world: World, name: str, value: Any, rows: np.ndarray) -> None:

@@ -195,6 +195,7 @@ def counts(scene: Scene) -> dict[str, int]:
         "bodies": len(scene.bodies),
         "filtered": 2 * len(scene.filtered_pairs),
         "fields": len(scene.force_fields),
+        "paths": sum(body.path is not None for body in scene.bodies),
         **joints.counts(scene),
     }
 

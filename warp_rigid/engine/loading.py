@@ -25,7 +25,7 @@ from warp_rigid.kernels.solve import (
     rounds,
     shock,
 )
-from warp_rigid.kernels.update import ground_motion, health, integrate, predict, sleep, watch
+from warp_rigid.kernels.update import ground_motion, health, integrate, paths, predict, sleep, watch
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
@@ -53,8 +53,9 @@ STEP = (
 """Kernel modules that every step requires; the slowest to compile come first."""
 
 GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
-CANDIDATES, WATCH = (candidates,), (watch,)
-"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground, large environments and watches."""
+CANDIDATES, WATCH, PATHS = (candidates,), (watch,), (paths,)
+"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground or surfaces, large environments,
+watches and paths."""
 
 JOINTS = "warp_rigid.kernels.joints.joint_stages"
 """Kernel module for joints, which process an environment with a team, too. It is imported only where there are joints,
@@ -72,7 +73,7 @@ SLOWEST = ("sweep_with_joints", "build_contacts")
 
 def everything() -> tuple[Any, ...]:
     """All kernel modules; the slowest to compile come first."""
-    others = (*OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
+    others = (*OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH, *PATHS)
     return (import_module(JOINTS), *STEP[:2], *others)
 
 

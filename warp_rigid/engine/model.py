@@ -14,7 +14,8 @@ from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import ccd
 from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import COMBINE_RULES, Body, Motion, Scene
+from warp_rigid.scene.pose_path import PosePath
+from warp_rigid.scene.scene import COMBINE_RULES, SURFACE_VELOCITIES, Body, Motion, Scene
 from warp_rigid.scene.shapes import Shape
 
 OVERSIZED = 4.0
@@ -49,6 +50,7 @@ class Model:
         fields: force fields of all environments.
         size_groups: for each scene, its bodies by size.
         joints: joints of all environments.
+        paths: paths of kinematic bodies of all environments.
     """
 
     layout: Layout
@@ -60,6 +62,7 @@ class Model:
     fields: Any
     size_groups: dict[Scene, SizeGroups]
     joints: Any
+    paths: Any
 
     @property
     def surface_vertices(self) -> int:
@@ -81,6 +84,7 @@ class Model:
             vertex_start=self.vertex_start[first : end + 1],
             surface_node=self.surface_node + vertices[0] - int(self.vertex_start[0]),
             joints=declare.part(self.joints, ranges),
+            paths=declare.part(self.paths, ranges),
         )
 
 
@@ -98,6 +102,7 @@ def build_model(layout: Layout, device: Any) -> Model:
         fields=_upload_fields(layout, device),
         size_groups=groups,
         joints=joints.upload(layout, device),
+        paths=_upload_paths(layout, device),
     )
 
 
@@ -204,6 +209,25 @@ def _upload_fields(layout: Layout, device: Any) -> Any:
     return fields
 
 
+def _upload_paths(layout: Layout, device: Any) -> Any:
+    """Write the distinct paths once, and which body of each environment follows which."""
+    found, lengths = concatenated(lambda scene: [body.path for body in scene.bodies if body.path], layout.scenes)
+    distinct: list[PosePath] = list(dict.fromkeys(found))
+    first = exclusive_sums(np.array([len(path.times) for path in distinct], np.int64))
+    which, source = np.array([distinct.index(path) for path in found], np.int64), layout.copies(lengths)
+    follows = np.array([body.path is not None for body in layout.scene_bodies])
+    rows: dict[str, Any] = {
+        "body": np.flatnonzero(follows[layout.source]).astype(np.int32),
+        "first": first[which][source].astype(np.int32),
+        "count": np.diff(first)[which][source].astype(np.int32),
+        "loop": np.array([path.loop for path in found], np.int32)[source],
+    }
+    for name in ("times", "positions", "orientations"):
+        keyframes = [getattr(path, name) for path in distinct]
+        rows[name.removesuffix("s")] = np.concatenate(keyframes) if keyframes else []
+    return declare.upload(schema.Paths, rows, device)
+
+
 def _upload_bodies(layout: Layout, pool: Pool, device: Any) -> Any:
     """Write the properties of all bodies, those of each scene for all its environments."""
     bodies, source = layout.scene_bodies, layout.source
@@ -219,7 +243,7 @@ def _upload_bodies(layout: Layout, pool: Pool, device: Any) -> Any:
         "motion": np.array([int(body.motion) for body in bodies], np.int32),
         "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
     }
-    for name in COEFFICIENTS:
+    for name in (*COEFFICIENTS, *SURFACE_VELOCITIES):
         host[name] = np.array([getattr(body, name) for body in bodies], np.float32)
     for name, value in {**host, **_masses(bodies)}.items():
         getattr(rows, name).assign(value[source])

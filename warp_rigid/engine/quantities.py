@@ -6,30 +6,50 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, array_of, brief, flags, numbers_of_shape, shape_of, shown, suggestion, whole_in
+from warp_rigid.checks import (
+    LARGEST,
+    array_of,
+    brief,
+    flags,
+    numbers_of_shape,
+    refuse_others,
+    shape_of,
+    shown,
+    suggestion,
+    whole_in,
+)
 from warp_rigid.engine import field_values, joint_quantities
-from warp_rigid.engine.layout import spread_rows
+from warp_rigid.engine.layout import LACKING, spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.precision import check_mass_ratio
-from warp_rigid.engine.selection import body_rows, env_indices, existing, joint_rows
+from warp_rigid.engine.selection import body_rows, env_indices, existing, joint_rows, rows_to_read
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.world import World
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Motion, check_mass
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, check_mass
 
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
 VECTOR_LENGTHS = {
-    name: 4 if name == "orientation" else 3 for name in (*STATE_NAMES, "gravity", *field_values.vector_names())
+    name: 4 if name == "orientation" else 3
+    for name in (*STATE_NAMES, *SURFACE_VELOCITIES, "gravity", *field_values.vector_names())
 }
 """Numbers of components of the quantities that are vectors."""
 VELOCITIES = ("linear_velocity", "angular_velocity")
-ZEROABLE = (*VELOCITIES, "force", "torque")
+ZEROABLE = (*VELOCITIES, *SURFACE_VELOCITIES, "force", "torque")
+OF_PATH = ("position", "orientation", *VELOCITIES)
+"""What a path prescribes."""
 MASS_NAMES = ("mass", "inverse_mass", "inertia", "inverse_inertia")
 REMAINDER_OF = {"orientation": "orientation_remainder", "angular_velocity": "angular_velocity_remainder"}
 """Where the device keeps what rounding left over of a quantity."""
 
+LACKED = {
+    **dict.fromkeys(VELOCITIES, "a kinematic body moves"),
+    **dict.fromkeys(SURFACE_VELOCITIES, "the surface of a static or kinematic body runs"),
+}
+"""Quantities that are always 0 for bodies of a kind, and for which bodies they are not."""
+
 DERIVED = ("inertia", "center_of_mass", "kinetic_energy", "potential_energy", "asleep", "level")
-WRITABLE = (*STATE_NAMES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
+WRITABLE = (*STATE_NAMES, *SURFACE_VELOCITIES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
 
 
 def owner_of(name: str) -> str:
@@ -46,15 +66,46 @@ def is_of_bodies(name: str) -> bool:
     return owner_of(name) == "bodies"
 
 
-def read(world: World, name: str) -> np.ndarray:
-    """A copy of a quantity; see Simulator.get."""
+def select(world: World, name: str, envs: Any, bodies: Any, joints: Any) -> np.ndarray:
+    """A copy of a quantity of chosen environments, bodies and joints; see Simulator.get."""
+    _check_readable(name)
+    check_owner(name, bodies, joints)
+    chosen = env_indices(world.num_envs, envs)
+    values, wanted, owner = read(world, name), bodies if joints is None else joints, owner_of(name)
+    if wanted is None:
+        return values if envs is None else values[chosen]
+    rows = rows_to_read(world.layout, chosen, wanted, owner)
+    index = rows - world.layout.starts[owner][chosen, None]
+    places = np.where(existing(rows), chosen[:, None] * values.shape[1] + index, LACKING)
+    return spread_rows(values.reshape(-1, *values.shape[2:]), places)
+
+
+def check_owner(name: str, bodies: Any, joints: Any) -> None:
+    """Refuse a choice of bodies or joints for a quantity that is not theirs.
+
+    Raises:
+        ValueError: bodies or joints are given for a quantity of something else.
+    """
+    owner = owner_of(name)
+    if bodies is not None and owner != "bodies":
+        owners = "joints" if owner == "joints" else "environments"
+        raise ValueError(f"bodies: must not be given for {name}, which is a quantity of {owners}")
+    if joints is not None and owner != "joints":
+        raise ValueError(f"joints: must not be given for {name}, which is no quantity of joints")
+
+
+def _check_readable(name: str) -> None:
     if not is_readable(name):
         _refuse_dt(name)
         known = suggestion(name, readable(), "help(Simulator.get)")
         raise ValueError(f"name: must be a quantity, got {shown(name)}{known}")
+
+
+def read(world: World, name: str) -> np.ndarray:
+    """A copy of a quantity of all environments, (envs, ...)."""
     if name in STATE_NAMES:
         return _rows(world, getattr(world.state, name))
-    if name in COEFFICIENTS or name == "mass":
+    if name in COEFFICIENTS or name in SURFACE_VELOCITIES or name == "mass":
         return _rows(world, getattr(world.model.bodies, name))
     if name == "gravity":
         return world.envs.gravity.numpy().copy()
@@ -94,14 +145,9 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         _refuse_dt(name)
         known = suggestion(name, writable(), "help(Simulator.set)")
         raise ValueError(f"name: must be a quantity that can be set, got {shown(name)}{known}")
-    of_joints = name in joint_quantities.WRITABLE
-    if bodies is not None and not is_of_bodies(name):
-        owners = "joints" if of_joints else "environments"
-        raise ValueError(f"bodies: must not be given for {name}, which is a quantity of {owners}")
-    if joints is not None and not of_joints:
-        raise ValueError(f"joints: must not be given for {name}, which is no quantity of joints")
-    chosen = env_indices(world.layout, envs)
-    if of_joints:
+    check_owner(name, bodies, joints)
+    chosen = env_indices(world.num_envs, envs)
+    if name in joint_quantities.WRITABLE:
         rows = joint_rows(world.layout, chosen, joints)
         joint_quantities.write(world, name, value, rows)
         wake(world, chosen, joint_quantities.bodies_of(world, rows))
@@ -121,13 +167,15 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         _write_field(world, name, value, chosen)
     else:
         touched = body_rows(world.layout, chosen, bodies)
-        if name in VELOCITIES and bodies is not None:
-            _refuse_velocity_of_static(world, name, value, touched)
+        if bodies is not None:
+            _refuse_of_chosen(world, name, value, touched)
         writer = {"mass": _write_mass, "active": _write_active}.get(name)
         if writer is None:
             write_rows(world, name, value, touched)
         else:
             writer(world, value, touched)
+        if name in SURFACE_VELOCITIES:
+            world.choose_step()
     wake(world, chosen, touched)
 
 
@@ -139,19 +187,25 @@ def _refuse_dt(name: str) -> None:
         )
 
 
-def _refuse_velocity_of_static(world: World, name: str, value: Any, rows: np.ndarray) -> None:
-    """Refuse to move static bodies that were chosen."""
-    moving = _broadcast(name, value, (*rows.shape, VECTOR_LENGTHS[name])).any(axis=-1)
-    found = rows[moving & _is_static(world, rows)]
-    if len(found):
+def _refuse_of_chosen(world: World, name: str, value: Any, rows: np.ndarray) -> None:
+    """Refuse what bodies that were chosen cannot have, although others can."""
+    if name in OF_PATH:
         layout = world.layout
-        body = layout.scene_bodies[layout.source[found[0]]]
-        raise ValueError(f"{name}: must be 0 for {body.name}, which is static; a kinematic body moves")
+        for index in np.unique(layout.source[rows[existing(rows)]]).tolist() if layout.sizes["paths"] else ():
+            if layout.scene_bodies[index].path is not None:
+                raise ValueError(f"{name}: {layout.scene_bodies[index].name} follows a path, which prescribes it")
+    if name in LACKED:
+        moving = _broadcast(name, value, (*rows.shape, VECTOR_LENGTHS[name])).any(axis=-1)
+        found = rows[moving & _lacks(world, name, rows)]
+        if len(found):
+            body = world.layout.scene_bodies[world.layout.source[found[0]]]
+            raise ValueError(f"{name}: must be 0 for {body.name}, which is {body.motion.name.lower()}; {LACKED[name]}")
 
 
-def _is_static(world: World, rows: np.ndarray) -> np.ndarray:
-    """Mask of the rows that are static bodies."""
-    return (world.model.bodies.motion.numpy()[np.maximum(rows, 0)] == Motion.STATIC) & existing(rows)
+def _lacks(world: World, name: str, rows: np.ndarray) -> np.ndarray:
+    """Mask of the rows that are bodies for which a quantity is always 0."""
+    motion = Motion.DYNAMIC if name in SURFACE_VELOCITIES else Motion.STATIC
+    return (world.model.bodies.motion.numpy()[np.maximum(rows, 0)] == motion) & existing(rows)
 
 
 def wake(world: World, chosen: np.ndarray, rows: np.ndarray) -> None:
@@ -195,8 +249,8 @@ def check_vectors(name: str, value: Any) -> None:
 def _broadcast(name: str, value: Any, shape: tuple[int, ...], needed: np.ndarray | None = None) -> np.ndarray:
     """The value as float32 of a shape, each number finite in float32 where it is `needed`."""
     values = numbers_of_shape(name, value, shape)
-    if not (np.abs(values if needed is None else values[needed]) <= LARGEST).all():
-        raise ValueError(f"{name}: must be finite numbers")
+    checked = values if needed is None else values[needed]
+    refuse_others(name, checked, np.abs(checked) <= LARGEST, "finite numbers")
     return values.astype(np.float32)
 
 
@@ -258,8 +312,8 @@ def checked_rows(world: World, name: str, value: Any, rows: np.ndarray) -> np.nd
         if not ((length >= 1e-6) & (length <= LARGEST)).all():
             raise ValueError("orientation: must be quaternions (x, y, z, w) of finite length > 0")
         new = new / length
-    if name in VELOCITIES:
-        new[_is_static(world, rows)] = 0.0
+    if name in LACKED:
+        new[_lacks(world, name, rows)] = 0.0
     return new
 
 
@@ -324,7 +378,7 @@ def _check_mass_ratios(world: World, new: np.ndarray, targets: np.ndarray) -> No
 def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs: Any) -> None:
     """Change velocities by an impulse at a world point; see Simulator.apply_impulse."""
     layout = world.layout
-    chosen = env_indices(layout, envs)
+    chosen = env_indices(layout.num_envs, envs)
     if not isinstance(body, str):
         whole_in("body", body, 0, layout.most_bodies - 1)
     if not len(chosen):

@@ -9,19 +9,24 @@ from warp_rigid.checks import array_of, listed, shown
 from warp_rigid.engine.layout import LACKING, Layout
 from warp_rigid.scene.scene import Scene
 
+Indices = int | slice | Sequence[int] | Sequence[bool] | np.ndarray | None
+"""Choice of environments."""
+Members = Indices | str | Sequence[str]
+"""Choice of bodies or joints, by indices or names."""
 
-def env_indices(layout: Layout, envs: Any) -> np.ndarray:
-    """Indices of the environments chosen by indices or by a mask (envs,); None for all.
+
+def env_indices(num_envs: int, envs: Any) -> np.ndarray:
+    """Indices of the environments chosen by indices, a slice or a mask (num_envs,); None for all.
 
     Raises:
         ValueError: there is no such environment, or one is given twice.
     """
-    if envs is None:
-        return np.arange(layout.num_envs)
+    if envs is None or isinstance(envs, slice):
+        return np.arange(num_envs)[slice(None) if envs is None else envs]
     mask = _as_array("envs", envs)
-    if mask.dtype == bool and mask.shape == (layout.num_envs,):
+    if mask.dtype == bool and mask.shape == (num_envs,):
         return np.flatnonzero(mask)
-    return _whole_indices("envs", envs, layout.num_envs)
+    return _whole_indices("envs", envs, num_envs)
 
 
 def body_rows(layout: Layout, chosen: np.ndarray, bodies: Any, name: str = "bodies") -> np.ndarray:
@@ -30,8 +35,8 @@ def body_rows(layout: Layout, chosen: np.ndarray, bodies: Any, name: str = "bodi
     Args:
         layout: the environments.
         chosen: indices of environments.
-        bodies: indices or names of bodies, which each of these environments must have; None for all bodies, where a row
-            is LACKING if an environment has no such body.
+        bodies: indices, names or a slice of bodies, which each of these environments must have; None for all bodies,
+            where a row is LACKING if an environment has no such body.
         name: of the argument, for the error message.
 
     Raises:
@@ -50,24 +55,81 @@ def joint_rows(layout: Layout, chosen: np.ndarray, joints: Any) -> np.ndarray:
 
 
 def _rows(layout: Layout, chosen: np.ndarray, given: Any, name: str, symbol: str) -> np.ndarray:
-    """Rows of what a symbol counts, from indices or names."""
+    """Rows of what a symbol counts, from indices, names or a slice."""
     if given is None:
         return layout.table(symbol)[chosen]
     scene_of = layout.scene_of[chosen]
-    table = np.zeros((len(layout.scenes), 0), np.int64)
-    for scene in np.unique(scene_of).tolist():
-        own = _indices_in_scene(layout, scene, given, name, symbol)
-        if table.shape[1] != len(own):
-            table = np.zeros((len(layout.scenes), len(own)), np.int64)
-        table[scene] = own
-    return layout.starts[symbol][chosen, None] + table[scene_of]
+    scenes = np.unique(scene_of).tolist()
+    given = _without_slice(layout, scenes, given, symbol)
+    own = {scene: _indices_in_scene(layout, scene, given, name, symbol) for scene in scenes}
+    return _rows_of_scenes(layout, chosen, own, symbol)
+
+
+def rows_to_read(layout: Layout, chosen: np.ndarray, given: Any, symbol: str) -> np.ndarray:
+    """Rows of bodies or joints of the chosen environments, (chosen, n); LACKING where an environment lacks one.
+
+    Args:
+        layout: the environments.
+        chosen: indices of environments.
+        given: indices, names or a slice; at least one of these environments must have each.
+        symbol: "bodies" or "joints".
+
+    Raises:
+        ValueError: no scene of the chosen environments has such a body or joint.
+    """
+    scenes = np.unique(layout.scene_of[chosen]).tolist()
+    given = _without_slice(layout, scenes, given, symbol)
+    names = named(given)
+    known = {scene: names_of(layout.scenes[scene], symbol) for scene in scenes}
+    if names is None or not all(any(one in place for place in known.values()) for one in names):
+        for scene in sorted(scenes, key=lambda one: -len(known[one]))[:1]:  # the most bodies: the largest index
+            given = _indices_in_scene(layout, scene, given, symbol, symbol)
+    if names is not None:
+        _check_distinct(symbol, names, given)
+        own = {scene: np.array([place.get(one, LACKING) for one in names]) for scene, place in known.items()}
+    else:
+        own = {scene: np.where(given < len(place), given, LACKING) for scene, place in known.items()}
+    return _rows_of_scenes(layout, chosen, own, symbol)
+
+
+def _without_slice(layout: Layout, scenes: list[int], given: Any, symbol: str) -> Any:
+    """Indices instead of a slice, which counts in the scene with the most bodies or joints."""
+    if not isinstance(given, slice):
+        return given
+    return np.arange(max((len(getattr(layout.scenes[scene], symbol)) for scene in scenes), default=0))[given]
+
+
+def _rows_of_scenes(layout: Layout, chosen: np.ndarray, own: dict[int, np.ndarray], symbol: str) -> np.ndarray:
+    """Rows from the indices within each scene, (chosen, n); LACKING where an index is."""
+    table = np.zeros((len(layout.scenes), len(next(iter(own.values()), ()))), np.int64)
+    for scene, indices in own.items():
+        table[scene] = indices
+    index = table[layout.scene_of[chosen]]
+    return np.where(index == LACKING, LACKING, layout.starts[symbol][chosen, None] + index)
 
 
 def _indices_in_scene(layout: Layout, scene: int, given: Any, name: str, symbol: str) -> np.ndarray:
-    """Indices within a scene, from indices or names."""
-    names = named(given)
+    """Indices within a scene of the layout, from indices or names."""
     whose = "" if len(layout.scenes) == 1 else f" of scene {scene} ({_environments(layout, scene)})"
-    place = names_of(layout.scenes[scene], symbol)
+    return indices_in(layout.scenes[scene], given, name, symbol, whose)
+
+
+def indices_in(scene: Scene, given: Any, name: str, symbol: str, whose: str = "") -> np.ndarray:
+    """Indices of bodies or joints within a scene.
+
+    Args:
+        scene: the scene.
+        given: indices, names or a slice.
+        name: of the argument, for the error message.
+        symbol: "bodies" or "joints".
+        whose: which scene it is, for the error message.
+
+    Raises:
+        ValueError: the scene has no such body or joint.
+    """
+    names, place = named(given), names_of(scene, symbol)
+    if isinstance(given, slice):
+        return np.arange(len(place))[given]
     if not place:
         raise ValueError(f"{name}: there are no {symbol}{whose or ' in the scene'}")
     if names is None:

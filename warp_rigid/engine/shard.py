@@ -49,7 +49,7 @@ class Shard:
     watches: Any = None
     seconds = 0.0
     _stages: Stages | None = None
-    _chosen: tuple[float, int, bool] | None = None
+    _chosen: tuple[float, int, bool, bool] | None = None
 
     def __init__(
         self,
@@ -92,10 +92,10 @@ class Shard:
         assert self._stages is not None
         return self._stages
 
-    def choose(self, dt: float, repetitions: int, sleeping: bool) -> None:
+    def choose(self, dt: float, repetitions: int, sleeping: bool, running: bool) -> None:
         """Choose what the step consists of; the arguments are those of Stages."""
-        if self._chosen != (dt, repetitions, sleeping):
-            self._chosen, self._stages = (dt, repetitions, sleeping), None
+        if self._chosen != (dt, repetitions, sleeping, running):
+            self._chosen, self._stages = (dt, repetitions, sleeping, running), None
 
     @property
     def sleeping(self) -> bool:
@@ -108,9 +108,9 @@ class Shard:
         with exclusive():
             self._record(*self._chosen, pools)
 
-    def _record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools) -> None:
+    def _record(self, dt: float, repetitions: int, sleeping: bool, running: bool, pools: Pools) -> None:
         arrays = (self._model, self._state, self._sleep_state, self._envs, pools)
-        stages = Stages(*arrays, dt, repetitions, sleeping, self.watches, self._workers)
+        stages = Stages(*arrays, dt, repetitions, sleeping, running, self.watches, self._workers)
         kept = self._kept_arrays(pools, sleeping)
         with wp.ScopedCapture(self._device, force_module_load=False) as capture:
             for array, saved in kept:

@@ -3,6 +3,7 @@
 import functools
 import logging
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
@@ -12,9 +13,11 @@ import warp as wp
 
 from warp_rigid.checks import whole_in
 from warp_rigid.display import html_of
-from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, step_reports, watching
+from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, stage_times, step_reports, watching
+from warp_rigid.engine.hints import hints_on
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
+from warp_rigid.engine.selection import Indices, Members
 from warp_rigid.engine.settings import Settings, check_settings
 from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
@@ -49,6 +52,9 @@ class Simulator:
 
     Simulators can be used from several threads. On a CPU their steps run at the same time, on a GPU one after another.
     A simulator works on the stream that was current when it was made.
+
+    Python warnings point out limits of hinges beyond a full turn, which may be in degrees, and bodies that move by more
+    than their size in the first step.
 
     Args:
         scene: the scene, or a list of scenes.
@@ -115,6 +121,8 @@ class Simulator:
             )
         self.scenes, self.scene_of = layout.scenes, layout.scene_of
         self.settings, self.device = self._world.settings, self._world.device
+        for hint in hints_on(layout.scenes, self.settings.dt):
+            warnings.warn(hint, stacklevel=2)
         self.num_envs, self.num_bodies = layout.num_envs, layout.most_bodies
         self.first_body, self.exists = layout.first_body, layout.rows != LACKING
         self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
@@ -156,11 +164,26 @@ class Simulator:
         """Device memory that the simulator occupies [bytes]."""
         return self._world.shards.memory
 
+    @property
+    def load_seconds(self) -> float:
+        """Wall-clock time to load the kernels, and to compile those that are not in the cache [s]."""
+        return self._world.load_seconds
+
+    @property
+    def internals(self) -> World:
+        """The device arrays and recorded steps, for measurements of the engine; they may change in every version."""
+        return self._world
+
     @contextmanager
     def in_use(self) -> Iterator[None]:
         """Context in which this thread alone uses the simulator, and none records a step."""
         with self._lock, on_stream(self.device, self._stream):
             yield
+
+    @guarded
+    def prepare(self) -> None:
+        """Record the step now, instead of in the first call of `step`, so that timings do not include it."""
+        self._world.shards.record()
 
     @guarded
     def step(self, count: int = 1) -> None:
@@ -179,44 +202,55 @@ class Simulator:
                 self._raise_if_nonfinite()
 
     @guarded
-    def get(self, name: str) -> np.ndarray:
+    def get(self, name: str, envs: Indices = None, bodies: Members = None, joints: Members = None) -> np.ndarray:
         """Return a copy of a quantity, (envs, bodies, ...), or (envs, ...) for gravity and settings.
 
-        Bodies that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
+        Bodies and joints that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
 
         Quantities are those that `set` changes, and of bodies "inertia", "center_of_mass", "kinetic_energy",
         "potential_energy", "asleep" and "level", and of joints, (envs, joints, ...), "joint_position", "joint_velocity"
         and "joint_force" (force [N] and torque [N m] on the first body in the last step, 6 numbers).
 
+        Args:
+            name: the quantity.
+            envs: different indices of environments, a slice, or a mask (envs,) of booleans; None for all.
+            bodies: indices, a slice, or names of bodies, in the order of the result; None for all. At least one of
+                these environments must have each.
+            joints: the same of joints, for quantities of joints.
+
         Raises:
-            ValueError: unknown name.
+            ValueError: unknown name, an environment, body or joint that does not exist or is given twice, or a choice
+                of bodies or joints for a quantity of something else.
         """
-        return quantities.read(self._world, name)
+        return quantities.select(self._world, name, envs, bodies, joints)
 
     @guarded
-    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None, joints: Any = None) -> None:
+    def set(self, name: str, value: Any, envs: Indices = None, bodies: Members = None, joints: Members = None) -> None:
         """Change a quantity; the value broadcasts to (envs, bodies, ...), or (envs, ...) for gravity and settings.
 
         Quantities of bodies are "position", "orientation", "linear_velocity", "angular_velocity", "force", "torque",
-        "active", "friction", "restitution", "rolling_friction", "spinning_friction" and "mass"; those of environments
-        are "gravity" and "collision_iterations", "contact_iterations", "shock_iterations", "shock_propagation",
-        "collision_first", "warm_starting", "edge_samples" and "sleeping"; those of force fields, (envs, fields, ...),
-        are "field_acceleration", "field_center", "field_strength", "field_drag" and "field_velocity".
-        For quantities of joints the value broadcasts to (envs, joints): "joint_target_position",
-        "joint_target_velocity", "joint_stiffness", "joint_damping", "joint_max_force", "joint_friction", "joint_lower",
-        "joint_upper", "joint_break_force", "joint_break_torque", "joint_armature" and "joint_broken".
+        "active", "friction", "restitution", "rolling_friction", "spinning_friction", "mass", "surface_velocity" and
+        "surface_angular_velocity"; those of environments are "gravity" and "collision_iterations",
+        "contact_iterations", "shock_iterations", "shock_propagation", "collision_first", "warm_starting",
+        "edge_samples" and "sleeping"; those of force fields, (envs, fields, ...), are "field_acceleration",
+        "field_center", "field_strength", "field_drag" and "field_velocity". For quantities of joints the value
+        broadcasts to (envs, joints): "joint_target_position", "joint_target_velocity", "joint_stiffness",
+        "joint_damping", "joint_max_force", "joint_friction", "joint_lower", "joint_upper", "joint_break_force",
+        "joint_break_torque", "joint_armature" and "joint_broken".
 
         Args:
             name: the quantity.
             value: number, array, mode name, or list of mode names.
-            envs: different indices of environments, or a mask (envs,) of booleans; None for all.
-            bodies: indices or names of the bodies, which all these environments must have; None for all bodies, where
-                the values of bodies that an environment lacks, and velocities of static bodies, are not read.
-            joints: indices or names of the joints, for quantities of joints; None for all, as for the bodies.
+            envs: different indices of environments, a slice, or a mask (envs,) of booleans; None for all.
+            bodies: indices, a slice or names of the bodies, which all these environments must have; None for all
+                bodies, where the values of bodies that an environment lacks, velocities of static bodies, and
+                velocities of the surfaces of dynamic bodies are not read.
+            joints: the same of joints, for quantities of joints.
 
         Raises:
-            ValueError: unknown name, wrong shape, a value out of range, a body or joint that an environment lacks, or
-                a velocity for a static body.
+            ValueError: unknown name, wrong shape, a value out of range, a body or joint that an environment lacks, a
+                velocity for a static body or for the surface of a dynamic one, or a pose or velocity for a body that
+                follows a path.
         """
         quantities.write(self._world, name, value, envs, bodies, joints)
 
@@ -403,6 +437,28 @@ class Simulator:
     def counts(self) -> dict[str, int]:
         """Return the numbers of pairs, contacts and levels of the last step, the capacities and their largest use."""
         return step_reports.counts(self._world)
+
+    @guarded
+    def pairs_and_contacts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers of pairs and of contacts of the last step in each environment, (envs,) each."""
+        return step_reports.counts_of_environments(self._world)
+
+    @guarded
+    def stage_times(self, steps: int = 32) -> dict[str, float]:
+        """Return the time that each stage of a step takes in the present state, which is kept [s].
+
+        On a CPU it is processor time, which does not depend on other programs. A first step is not timed.
+
+        Args:
+            steps: number of steps to average over.
+
+        Returns:
+            Stages by name, in their order.
+
+        Raises:
+            ValueError: steps is not a whole number from 1.
+        """
+        return stage_times.stage_times(self._world, whole_in("steps", steps, 1, 2**31))
 
     @guarded
     def stats(self) -> dict[str, np.ndarray]:

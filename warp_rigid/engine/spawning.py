@@ -16,7 +16,7 @@ from warp_rigid.scene.scene import Scene
 def spawn(world: World, pool: str, poses: dict[str, Any], envs: Any) -> np.ndarray:
     """Activate the first inactive body of a pool in each environment; see Simulator.spawn."""
     layout = world.layout
-    chosen = env_indices(layout, envs)
+    chosen = env_indices(layout.num_envs, envs)
     members = {scene: _members(layout.scenes[scene], scene, pool) for scene in np.unique(layout.scene_of[chosen])}
     active = world.state.active.numpy()
     found = np.full(len(chosen), LACKING)
@@ -36,7 +36,7 @@ def spawn(world: World, pool: str, poses: dict[str, Any], envs: Any) -> np.ndarr
 
 def despawn(world: World, bodies: Any, envs: Any) -> None:
     """Return bodies to their pools; see Simulator.despawn."""
-    chosen = env_indices(world.layout, envs)
+    chosen = env_indices(world.num_envs, envs)
     rows = body_rows(world.layout, chosen, bodies)
     quantities.assign_rows(world.state.active, 0, rows)
     quantities.wake(world, chosen, rows)

@@ -31,7 +31,7 @@ from warp_rigid.kernels.solve import (
     restitution,
     shock,
 )
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
+from warp_rigid.kernels.update import ground_motion, integrate, paths, predict, sleep, watch
 
 PAIRS, CONTACTS, CANDIDATES, NEAR_SAMPLES = 0, 1, 2, 3
 
@@ -73,6 +73,7 @@ class Stages:
         dt: time step [s].
         repetitions: largest number of shock iterations in any environment.
         sleeping: whether sleeping is enabled in any environment.
+        running: whether the surface of any body runs.
         watches: what is recorded in every step; None for nothing.
         workers: threads that share the rows of a crowded environment on a CPU.
     """
@@ -87,12 +88,14 @@ class Stages:
         dt: float,
         repetitions: int,
         sleeping: bool,
+        running: bool,
         watches: Any = None,
         workers: int = 1,
     ) -> None:
         """Record the step; `load_kernels` must have been called for `STEP`."""
         self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
         self.dt, self.repetitions, self.sleeping, self.watches = dt, repetitions, sleeping, watches
+        self.has_surface_velocity = running or model.surface_vertices > 0
         self.on_stage: Callable[[str | None], None] = ignore_stage
         self.current_stage: str | None = None
         self.device: Any = pools.wanted.device
@@ -112,7 +115,8 @@ class Stages:
         self.joints, self.heaps = JointStages(of_step), HeapStages(of_step)
         optional = (
             (loading.SLEEP, sleeping),
-            (loading.GROUND, model.surface_vertices > 0),
+            (loading.GROUND, self.has_surface_velocity),
+            (loading.PATHS, layout.sizes["paths"] > 0),
             (loading.CANDIDATES, self.grid.buckets > 0),
             (loading.HEAPS, self.crowded),
             (loading.WATCH, watches),
@@ -130,6 +134,7 @@ class Stages:
     def step(self) -> None:
         """Execute one step of the method (Guendelman et al. 2003, section 4), with the extensions of each stage."""
         self.move_ground()
+        self.follow_paths()
         self.predict(self.dt)
         if self.sleeping:
             self.wake_changed_islands()
@@ -140,7 +145,8 @@ class Stages:
         self.set_surface_velocity(before_step=True)
         self.solve_impacts()
         self.integrate_velocities(before_collisions=False)
-        self.set_surface_velocity(before_step=False)
+        if self.model.surface_vertices:
+            self.set_surface_velocity(before_step=False)
         self.solve_contacts()
         self.push_out()
         self.detect_continuous_collisions()
@@ -160,15 +166,23 @@ class Stages:
             self._launch(ground_motion.move_ground, count, inputs, [self.model.shapes])
 
     @stage
+    def follow_paths(self) -> None:
+        """Paths: place the kinematic bodies that follow a path, and set their velocities."""
+        count = self.model.layout.sizes["paths"]
+        if count:
+            inputs = [self.dt, self.model.paths, self.model.bodies, self.envs]
+            self._launch(paths.follow_paths, count, inputs, [self.state])
+
+    @stage
     def set_surface_velocity(self, before_step: bool) -> None:
-        """Moving ground: assign the surface velocity of the previous (`before_step`) or this step to contacts."""
-        if self.model.surface_vertices:
+        """Surface velocity: that of running surfaces and of the ground, which is that before or after the step."""
+        if self.has_surface_velocity:
             model, contacts = self.model, self.pools.contacts
-            inputs = [int(before_step), self.model.surface_node, model.shapes, model.bodies, self.state]
+            inputs = [int(before_step), model.surface_node, self.dt, model.shapes, model.bodies, self.state]
             wp.launch(
                 ground_motion.set_surface_velocity,
                 dim=contacts.key.shape[0],
-                inputs=[*inputs, self.envs, model.surfaces, self.pools.pairs],
+                inputs=[*inputs, self.envs, self.motions, model.surfaces, self.pools.pairs],
                 outputs=[contacts],
                 device=self.device,
             )

@@ -15,6 +15,7 @@ from warp_rigid.engine.precision import check_precision
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.teams import team_lanes
 from warp_rigid.kernels import declare, schema
+from warp_rigid.scene.scene import SURFACE_VELOCITIES
 from warp_rigid.scene.shapes import Compound, Mesh
 
 
@@ -39,6 +40,7 @@ class World:
         envs: settings and status of the environments.
         shards: ranges of environments with their pools and recorded steps.
         watches: what the steps record for observers, None for nothing.
+        running: whether the surface of any body runs, or did at some time.
         load_seconds: time to load the kernels [s].
     """
 
@@ -77,6 +79,7 @@ class World:
         self.start = initial_state(layout, device)
         self.sleep_state = declare.allocate(schema.SleepState, layout.sizes, device)
         self.watches: Any = None
+        self.running = False
         self.envs: Any = initial_environments(layout, settings, device)
         arrays = (self.model, self.state, self.sleep_state, self.envs)
         limits = sizes if on_overflow == "raise" else None
@@ -93,7 +96,10 @@ class World:
     def choose_step(self) -> None:
         """Choose what the step consists of, as the settings require; it is recorded when it is first needed."""
         repetitions = int(self.envs.shock_iterations.numpy().max())
-        self.shards.choose(self.settings.dt, repetitions, bool(self.envs.sleeping.numpy().any()))
+        velocities = [getattr(self.model.bodies, name) for name in SURFACE_VELOCITIES]
+        self.running = self.running or any(array.numpy().any() for array in velocities)
+        sleeping = bool(self.envs.sleeping.numpy().any())
+        self.shards.choose(self.settings.dt, repetitions, sleeping, self.running)
 
 
 def initial_capacity(layout: Layout, given: Mapping[str, int]) -> dict[str, int]:

@@ -41,6 +41,11 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     return scale * vertices, faces
 
 
+def states_its_unit(path) -> bool:
+    """Whether coordinates of a file's format are in metres, or in a unit that the file states."""
+    return Path(path).suffix.lower() in (".glb", ".gltf", *USD_SUFFIXES)
+
+
 def _load(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
     if suffix in USD_SUFFIXES:
         return _load_usd(path)

@@ -4,6 +4,7 @@ Shared by the USD writer and the renderer, so that both show the same.
 """
 
 import math
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from warp_rigid.rotations import rotate
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Frame, Recording, is_moving
+from warp_rigid.scene.look import Look
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes.plane import DRAWN_HALF_WIDTH
 
@@ -19,6 +21,7 @@ __all__ = [
     "Spread",
     "apply_coloring",
     "body_colors",
+    "body_gloss",
     "bound_corners",
     "continuous_signs",
     "corner_normals",
@@ -83,15 +86,26 @@ def color_map(count: int) -> np.ndarray:
     return linear_light(interpolate(values, "viridis")[1:, :3]).astype(np.float32)
 
 
-def body_colors(motion) -> np.ndarray:
-    """One colour a body, (bodies, 3) float32 in linear light: grey static, bright dynamic."""
+def body_colors(motion, looks: Mapping[int, Look] | None = None) -> np.ndarray:
+    """One colour a body, (bodies, 3) float32 in linear light: that of its look, else grey static, bright dynamic."""
     palette = np.array([linear_color(code) for code in DYNAMIC_COLORS])
     motion = np.asarray(motion)
     dynamic = motion == Motion.DYNAMIC
     colors = palette[(np.cumsum(dynamic) - 1) % len(palette)]
     colors[motion == Motion.STATIC] = linear_color(STATIC_COLOR)
     colors[motion == Motion.KINEMATIC] = linear_color(KINEMATIC_COLOR)
+    for body, look in (looks or {}).items():
+        if look.color is not None:
+            colors[body] = look.color
     return colors.astype(np.float32)
+
+
+def body_gloss(count: int, looks: Mapping[int, Look]) -> np.ndarray:
+    """Roughness and metallic of each body, (bodies, 2) float32; (1, 0), matt, without a look."""
+    gloss = np.tile(np.array((1.0, 0.0), np.float32), (count, 1))
+    for body, look in looks.items():
+        gloss[body] = look.roughness, look.metallic
+    return gloss
 
 
 def environment_colors(env) -> np.ndarray:
@@ -158,7 +172,9 @@ def frame_colors(coloring: str, recording: Recording, row: int, frame: Frame) ->
         values = np.linalg.norm(frame.linear_velocity[row], axis=-1)
     elif coloring != "body":
         values = getattr(frame, coloring)[row]
-    return apply_coloring(coloring, body_colors(recording.motion), recording.motion == Motion.DYNAMIC, values)
+    return apply_coloring(
+        coloring, body_colors(recording.motion, recording.looks), recording.motion == Motion.DYNAMIC, values
+    )
 
 
 def corner_normals(vertices, faces) -> np.ndarray:
@@ -230,13 +246,16 @@ class Spread:
         """Start with the bounds of the first frame."""
         self._moving = is_moving(recording.motion)
         self._lower, self._upper = np.full(3, np.inf), np.full(3, -np.inf)
+        self._moving_lower, self._moving_upper = self._lower.copy(), self._upper.copy()
         self._reach = 0.0
         for index, surface in enumerate(recording.surfaces):
             bodies = np.flatnonzero(recording.surface == index)
             if len(surface.vertices) == 0 or (surface.endless and not self._moving[bodies].any()):
                 continue
             turned = rotate(recording.orientation[0][:, bodies, None], bound_corners(surface.vertices))
-            self._include((turned + recording.position[0][:, bodies, None]).reshape(-1, 3))
+            corners = turned + recording.position[0][:, bodies, None]
+            self._include(corners.reshape(-1, 3))
+            self._include_moving(corners[:, self._moving[bodies]].reshape(-1, 3))
 
     def add(self, position: np.ndarray) -> None:
         """Add the positions of a frame, (envs, bodies, 3) [m]."""
@@ -244,24 +263,35 @@ class Spread:
             sideways = np.abs(position[:, self._moving, :2]).max(axis=-1)
             finite = sideways[np.isfinite(sideways)]
             self._reach = max(self._reach, float(np.percentile(finite, 98.0)) if finite.size else 0.0)
-            self._include(np.percentile(position[:, self._moving].reshape(-1, 3), (5.0, 95.0), axis=0))
+            extremes = np.percentile(position[:, self._moving].reshape(-1, 3), (5.0, 95.0), axis=0)
+            self._include(extremes)
+            self._include_moving(extremes)
 
     def spacing(self) -> np.ndarray:
         """Distances between neighbouring environments along x and y, (2,) [m]."""
         extent = (self._upper - self._lower)[:2]
         return np.where(np.isfinite(extent), np.maximum(SPACING * extent, 1e-3), 1.0)
 
-    def corners(self, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper corner of the box around all environments at these translations [m]."""
-        if not (np.isfinite(self._lower).all() and np.isfinite(self._upper).all()):
-            return offsets.min(axis=0) - 1.0, offsets.max(axis=0) + 1.0
-        return self._lower + offsets.min(axis=0), self._upper + offsets.max(axis=0)
+    def moving_corners(self, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner of the box around the moving bodies of all environments at these translations [m].
+
+        Without moving bodies, it is the box around all bodies.
+        """
+        for lower, upper in ((self._moving_lower, self._moving_upper), (self._lower, self._upper)):
+            if np.isfinite(lower).all() and np.isfinite(upper).all():
+                return lower + offsets.min(axis=0), upper + offsets.max(axis=0)
+        return offsets.min(axis=0) - 1.0, offsets.max(axis=0) + 1.0
 
     def plane_width(self) -> float:
         """Width with which a level plane is drawn, so that the bodies stay on it [m]."""
         extent = np.abs([self._lower[:2], self._upper[:2]])
         first = float(extent.max()) if np.isfinite(extent).all() else 0.0
         return max(2.0 * DRAWN_HALF_WIDTH, PLANE_ROOM * max(first, self._reach))
+
+    def _include_moving(self, points: np.ndarray) -> None:
+        finite = points[np.isfinite(points).all(axis=-1)]
+        self._moving_lower = np.minimum(self._moving_lower, finite.min(axis=0, initial=np.inf))
+        self._moving_upper = np.maximum(self._moving_upper, finite.max(axis=0, initial=-np.inf))
 
     def _include(self, points: np.ndarray) -> None:
         finite = points[np.isfinite(points).all(axis=-1)]

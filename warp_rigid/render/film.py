@@ -1,6 +1,6 @@
 """Film: drawable data of all frames, created from a recording or a USD file."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +9,7 @@ from warp_rigid.checks import one_of
 from warp_rigid.render.appearance import (
     COLORINGS,
     body_colors,
+    body_gloss,
     corner_normals,
     drawn_surfaces,
     environment_offsets,
@@ -17,6 +18,8 @@ from warp_rigid.render.appearance import (
 )
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Recording
+from warp_rigid.scene.camera import Camera, camera_of_text
+from warp_rigid.scene.scene import Motion
 
 __all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
 
@@ -57,7 +60,10 @@ class Film:
         env: (instances,) index of the environment.
         offset: (envs, 3) translation of the environments [m].
         labels: one label per environment; may be empty.
-        view: azimuth and elevation from which pictures are taken [degree]; the azimuth counts from x toward y.
+        body: (instances,) index of the body in its environment; -1 for what is no body.
+        dynamic: (instances,) True for dynamic bodies.
+        gloss: (instances, 2) float32, roughness and metallic as in Look; (1, 0) is matt.
+        camera: where pictures are taken from; a body that it follows is given by its index.
     """
 
     meshes: tuple[DrawnMesh, ...]
@@ -69,7 +75,10 @@ class Film:
     env: np.ndarray
     offset: np.ndarray
     labels: tuple[str, ...]
-    view: tuple[float, float] = (-67.0, 22.0)
+    body: np.ndarray
+    dynamic: np.ndarray
+    gloss: np.ndarray
+    camera: Camera = field(default_factory=Camera)
 
     @property
     def num_frames(self) -> int:
@@ -96,6 +105,9 @@ class Film:
             position=self.position[:, kept] - self.offset[env].astype(np.float32),
             orientation=self.orientation[:, kept],
             env=np.zeros(np.count_nonzero(kept), dtype=np.int64),
+            body=self.body[kept],
+            dynamic=self.dynamic[kept],
+            gloss=self.gloss[kept],
             offset=np.zeros((1, 3)),
             labels=(self.labels[env],),
         )
@@ -115,13 +127,17 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
     return Film(
         meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
         mesh=np.tile(recording.surface, len(rows)),
-        color=np.tile(body_colors(recording.motion), (len(rows), 1)),
+        color=np.tile(body_colors(recording.motion, recording.looks), (len(rows), 1)),
         position=(recording.position[:, rows] + offsets[:, None]).reshape(frames, count, 3),
         orientation=recording.orientation[:, rows].reshape(frames, count, 4),
         fps=recording.fps,
         env=np.repeat(np.arange(len(rows)), len(recording.surface)),
         offset=offsets,
         labels=tuple(recording.labels[row] for row in rows),
+        body=np.tile(np.arange(len(recording.surface)), len(rows)),
+        dynamic=np.tile(recording.motion == Motion.DYNAMIC, len(rows)),
+        gloss=np.tile(body_gloss(len(recording.surface), recording.looks), (len(rows), 1)),
+        camera=recording.camera or Camera(),
     )
 
 
@@ -171,6 +187,7 @@ def _film_of_stage(stage) -> Film:
     from pxr import UsdGeom
 
     from warp_rigid.usd.metadata import time_codes
+    from warp_rigid.usd.prims import custom_data
 
     root = stage.GetDefaultPrim()
     envs = [prim for prim in root.GetChildren() if prim.IsA(UsdGeom.Xform)] if root else []
@@ -183,10 +200,12 @@ def _film_of_stage(stage) -> Film:
     if not groups:
         raise ValueError("must be an animation written by export_usd; warp-rigid run simulates other USD files")
 
+    count = [0] * len(envs)
     codes = time_codes(stage)
     frames = np.arange(codes.first, codes.last + 1)
     offset = np.array([_translation(prim) for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
+    body, dynamic, gloss = [], [], []
     for index, group in groups:
         read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
         drawn, places, turns, group_colors = read(group, frames)
@@ -199,6 +218,11 @@ def _film_of_stage(stage) -> Film:
         color.append(group_colors)
         mesh.append(np.full(places.shape[1], mesh_index[key]))
         env.append(np.full(places.shape[1], index))
+        ids = group.GetAttribute("ids").Get() if group.IsA(UsdGeom.PointInstancer) else [count[index]]
+        body.append(np.array(ids, np.int64))
+        dynamic.append(np.full(len(body[-1]), custom_data(group).get("motion") == "dynamic"))
+        gloss.append(_read_gloss(group, len(body[-1])))
+        count[index] += 1
     colors = np.concatenate(color, axis=1)
     return Film(
         meshes=tuple(meshes),
@@ -210,7 +234,23 @@ def _film_of_stage(stage) -> Film:
         env=np.concatenate(env),
         offset=offset,
         labels=tuple(prim.GetDisplayName() for prim in envs),
+        body=np.concatenate(body),
+        dynamic=np.concatenate(dynamic),
+        gloss=np.concatenate(gloss),
+        camera=_camera_of_stage(stage),
     )
+
+
+def _camera_of_stage(stage) -> Camera:
+    """The camera that was written with the film."""
+    from warp_rigid.usd.prims import custom_data
+
+    for prim in stage.GetDefaultPrim().GetChildren():
+        custom = custom_data(prim)
+        if "camera" in custom:
+            camera = camera_of_text(str(custom["camera"]))
+            return camera if camera.body is None else replace(camera, body=custom.get("cameraBody"))
+    return Camera()
 
 
 def _read_instancer(prim, frames):
@@ -262,6 +302,18 @@ def _read_body(prim, frames):
     turns = _read(prim.GetAttribute("xformOp:orient"), frames)
     drawn = DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown))
     return drawn, places[:, None], turns[:, None], color
+
+
+def _read_gloss(prim, count: int) -> np.ndarray:
+    """Roughness and metallic of the instances of a prim, (count, 2) float32."""
+    from pxr import UsdGeom
+
+    gloss = body_gloss(count, {})
+    for column, name in enumerate(("roughness", "metallic")):
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
+        if primvar.HasValue():
+            gloss[:, column] = np.array(primvar.Get(), np.float32)
+    return gloss
 
 
 def _translation(prim) -> np.ndarray:

@@ -18,6 +18,7 @@ from warp_rigid.render.appearance import (
 )
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Recording
+from warp_rigid.scene.look import Look
 
 if TYPE_CHECKING:
     import pygltflib
@@ -26,6 +27,8 @@ __all__ = ["export_gltf"]
 
 Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """Rotation of the root node, since glTF has y up."""
+MATT = Look(roughness=0.7)
+"""Look of bodies without one."""
 FLOAT, UINT = 5126, 5125
 VERTICES, INDICES = 34962, 34963
 
@@ -52,7 +55,7 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
     file = _Assembly(pygltflib)
     spread = spread_of(recording)
     surfaces = drawn_surfaces(recording, len(rows), spread)
-    colors = body_colors(recording.motion)
+    colors = body_colors(recording.motion, recording.looks)
     world = file.node(name="World", rotation=Z_UP_TO_Y_UP)
     orientation = continuous_signs(recording.orientation)
     time = file.numbers((recording.time - recording.time[0]).astype(np.float32), "SCALAR", bounds=True)
@@ -60,7 +63,12 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
         env = file.node(world, name=recording.labels[row] or f"env_{recording.envs[row]:04d}", translation=offset)
         for body, name in enumerate(recording.names):
             places, turns = recording.position[:, row, body], orientation[:, row, body]
-            mesh = file.mesh(int(recording.surface[body]), surfaces[recording.surface[body]], colors[body])
+            mesh = file.mesh(
+                int(recording.surface[body]),
+                surfaces[recording.surface[body]],
+                colors[body],
+                recording.looks.get(body, MATT),
+            )
             node = file.node(env, name=name, mesh=mesh, translation=places[0].tolist(), rotation=turns[0].tolist())
             if (places != places[0]).any():
                 file.animate(node, "translation", time, file.numbers(places, "VEC3"))
@@ -113,14 +121,16 @@ class _Assembly:
         self._gltf.accessors.append(accessor)
         return len(self._gltf.accessors) - 1
 
-    def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray) -> int:
-        """Add surface number `index` in a colour; meshes of the same surface share its arrays."""
-        key = index, color.tobytes()
+    def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray, look: Look) -> int:
+        """Add surface number `index` with a colour and a look; meshes of the same surface share its arrays."""
+        key = index, color.tobytes(), look
         if key not in self._meshes:
             if index not in self._geometry:
                 self._geometry[index] = self._arrays(surface)
             attributes, corners = self._geometry[index]
-            primitive = self._library.Primitive(attributes=attributes, indices=corners, material=self._material(color))
+            primitive = self._library.Primitive(
+                attributes=attributes, indices=corners, material=self._material(color, look)
+            )
             self._gltf.meshes.append(self._library.Mesh(primitives=[primitive]))
             self._meshes[key] = len(self._gltf.meshes) - 1
         return self._meshes[key]
@@ -137,10 +147,10 @@ class _Assembly:
         )
         return attributes, self.numbers(index.reshape(-1).astype(np.uint32), "SCALAR", target=INDICES)
 
-    def _material(self, color: np.ndarray) -> int:
-        """Add a matt, double-sided material; returns its index."""
+    def _material(self, color: np.ndarray, look: Look) -> int:
+        """Add a double-sided material; returns its index."""
         shading = self._library.PbrMetallicRoughness(
-            baseColorFactor=[*color.tolist(), 1.0], metallicFactor=0.0, roughnessFactor=0.7
+            baseColorFactor=[*color.tolist(), 1.0], metallicFactor=look.metallic, roughnessFactor=look.roughness
         )
         self._gltf.materials.append(
             self._library.Material(pbrMetallicRoughness=shading, doubleSided=True, alphaCutoff=None, alphaMode="OPAQUE")

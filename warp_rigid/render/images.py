@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.render.camera import CameraPath, event_end
 from warp_rigid.render.film import Film
+from warp_rigid.render.framing import CameraPath, event_end
 from warp_rigid.render.raycast import RayCaster
 
 __all__ = ["save_contact_sheet", "save_film", "save_picture"]
@@ -192,10 +192,9 @@ class _Studio:
         from PIL import Image
 
         width, height = self._size
-        camera = self._path.at(frame)
         images = []
-        for caster, label in zip(self._casters, self._labels, strict=True):
-            images.append(Image.fromarray(caster.draw(frame, width, height, camera)))
+        for panel, (caster, label) in enumerate(zip(self._casters, self._labels, strict=True)):
+            images.append(Image.fromarray(caster.draw(frame, width, height, self._path.at(frame, panel))))
             _write(images[-1], label, (width / 2, height - 10), "ms")
         return images
 

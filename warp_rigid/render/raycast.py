@@ -15,20 +15,16 @@ from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.kernel_cache import load_module
 from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.render.film import Film
+from warp_rigid.render.shading import HORIZON_COLOR, CameraView, glossy_color, grid_shade, lit_color, sky_color
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.shapes.tessellation import geodesic
 from warp_rigid.threads import exclusive
 
 wp.set_module_options({"enable_backward": False})
 
-__all__ = ["Camera", "RayCaster"]
+__all__ = ["RayCaster"]
 
 FAR = wp.constant(1.0e6)
-HORIZON_COLOR = wp.constant(wp.vec3(0.76, 0.80, 0.84))
-ZENITH_COLOR = wp.constant(wp.vec3(0.30, 0.46, 0.68))
-GROUND_GLOW = wp.constant(wp.vec3(0.25, 0.235, 0.22))
-SKY_GLOW = wp.constant(wp.vec3(0.38, 0.43, 0.50))
-LAMP_COLOR = wp.constant(wp.vec3(1.02, 0.94, 0.81))
 SECTION_SHADE = wp.constant(0.8)  # brightness of the inside of a solid that is cut open
 LAMP_RADIUS = 0.05
 """Radius of the lamp that casts shadows, at unit distance [rad]."""
@@ -57,25 +53,6 @@ EDGE_RAYS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
 
 
 @wp.struct
-class Camera:
-    """A camera and a lamp.
-
-    `right` and `up` extend from the centre of the image to its borders, at unit distance from the eye.
-    """
-
-    eye: wp.vec3
-    forward: wp.vec3
-    right: wp.vec3
-    up: wp.vec3
-    light: wp.vec3
-    lamp_radius: float  # of the lamp at unit distance; 0 casts sharp shadows
-    shade_reach: float  # distance over which surfaces occlude the sky [m]; 0 for no ambient occlusion
-    grid: float  # distance between grid lines on flat grounds [m]
-    haze: float  # distance at which grounds start to fade [m]
-    pixel: float  # width of a pixel at unit distance from the eye
-
-
-@wp.struct
 class InstanceArrays:
     """The instances of one frame, and the concatenated corner normals of all meshes."""
 
@@ -87,6 +64,7 @@ class InstanceArrays:
     position: wp.array[wp.vec3]
     orientation: wp.array[wp.quat]
     color: wp.array[wp.vec3]
+    gloss: wp.array[wp.vec2]  # roughness and metallic
     normals: wp.array2d[wp.vec3]
     section_point: wp.vec3  # of the plane that cuts bodies open
     section_normal: wp.vec3  # toward the camera
@@ -195,34 +173,6 @@ def blocked(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3, reac
 
 
 @wp.func
-def line_coverage(coordinate: float, spacing: float, footprint: float) -> float:
-    """Fraction of a pixel covered by a grid line; `footprint` is the pixel width on the ground."""
-    offset = wp.abs(coordinate / spacing - wp.round(coordinate / spacing)) * spacing
-    width = 0.006 * spacing + footprint
-    return wp.clamp((width - offset) / footprint, 0.0, 1.0) * wp.min(width / spacing * 8.0, 1.0)
-
-
-@wp.func
-def grid_shade(point: wp.vec3, normal: wp.vec3, spacing: float, footprint: float) -> float:
-    """Brightness of a flat ground with grid lines along the two axes closest to its plane."""
-    a = point[0]
-    b = point[1]
-    if wp.abs(normal[0]) > wp.abs(normal[2]):
-        a = point[2]
-    elif wp.abs(normal[1]) > wp.abs(normal[2]):
-        b = point[2]
-    fade = wp.clamp(1.0 - 4.0 * footprint / spacing, 0.0, 1.0)
-    lines = wp.max(line_coverage(a, spacing, footprint), line_coverage(b, spacing, footprint))
-    return 1.0 - 0.25 * fade * lines
-
-
-@wp.func
-def sky_color(direction: wp.vec3) -> wp.vec3:
-    """Background colour."""
-    return wp.lerp(HORIZON_COLOR, ZENITH_COLOR, wp.sqrt(wp.clamp(direction[2], 0.0, 1.0)))
-
-
-@wp.func
 def any_tangent(normal: wp.vec3) -> wp.vec3:
     """A unit vector perpendicular to a unit vector."""
     helper = wp.vec3(1.0, 0.0, 0.0)
@@ -246,7 +196,7 @@ def disc_point(index: int) -> wp.vec2:
 
 
 @wp.func
-def visible_lamp(instances: InstanceArrays, camera: Camera, point: wp.vec3, first: int, rays: int) -> float:
+def visible_lamp(instances: InstanceArrays, camera: CameraView, point: wp.vec3, first: int, rays: int) -> float:
     """Visible part of the lamp, from `rays` rays of the sequence."""
     right = any_tangent(camera.light)
     up = wp.cross(camera.light, right)
@@ -259,7 +209,7 @@ def visible_lamp(instances: InstanceArrays, camera: Camera, point: wp.vec3, firs
 
 @wp.func
 def visible_sky(
-    instances: InstanceArrays, camera: Camera, point: wp.vec3, normal: wp.vec3, first: int, rays: int
+    instances: InstanceArrays, camera: CameraView, point: wp.vec3, normal: wp.vec3, first: int, rays: int
 ) -> float:
     """Part of the sky that is not occluded nearby, weighted by the cosine, from `rays` rays of the sequence."""
     if camera.shade_reach <= 0.0:
@@ -274,18 +224,10 @@ def visible_sky(
     return 1.0 - dark / float(rays)
 
 
-@wp.func
-def lit_color(camera: Camera, color: wp.vec3, normal: wp.vec3, sun: float, sky: float) -> wp.vec3:
-    """Light that a surface sends back, from the lamp and the sky."""
-    ambient = wp.lerp(GROUND_GLOW, SKY_GLOW, 0.5 + 0.5 * normal[2]) * (0.22 + 0.78 * sky)
-    direct = wp.max(wp.dot(normal, camera.light), 0.0) * sun * LAMP_COLOR
-    return wp.cw_mul(color, ambient + direct)
-
-
 @wp.kernel
 def trace(
     first: int,
-    camera: Camera,
+    camera: CameraView,
     instances: InstanceArrays,
     at: wp.array[wp.vec2],
     seed: wp.array[int],
@@ -327,7 +269,15 @@ def trace(
 
 
 @wp.kernel
-def compose(first: int, width: int, radius: int, camera: Camera, seen: Surfaces, color: wp.array[wp.vec3]):
+def compose(
+    first: int,
+    width: int,
+    radius: int,
+    camera: CameraView,
+    gloss: wp.array[wp.vec2],
+    seen: Surfaces,
+    color: wp.array[wp.vec3],
+):
     """Colour of each ray; the visible parts of lamp and sky are averaged over neighbours on the same surface.
 
     The window is 2 radius wide, so that with radius TILE / 2 it holds every direction once; 0 averages nothing.
@@ -352,7 +302,12 @@ def compose(first: int, width: int, radius: int, camera: Camera, seen: Surfaces,
         sun = 1.0 * seen.sun[ray]
         sky = 1.0 * seen.sky[ray]
         count = 1.0
-    lit = lit_color(camera, seen.color[ray], seen.normal[ray], sun / count, sky / count)
+    if gloss[i][0] >= 1.0 and gloss[i][1] <= 0.0:
+        lit = lit_color(camera, seen.color[ray], seen.normal[ray], sun / count, sky / count)
+    else:
+        lit = glossy_color(
+            camera, seen.color[ray], seen.normal[ray], seen.point[ray], gloss[i], sun / count, sky / count
+        )
     color[ray] = wp.lerp(lit, HORIZON_COLOR, seen.haze[ray])
 
 
@@ -382,12 +337,12 @@ class RayCaster:
             are cut open.
     """
 
-    def __init__(self, film: Film, camera: Camera):
+    def __init__(self, film: Film, camera: CameraView):
         """Build the data shared by all frames."""
         with exclusive():  # it changes the default device of all threads
             self._upload(film, camera)
 
-    def _upload(self, film: Film, camera: Camera) -> None:
+    def _upload(self, film: Film, camera: CameraView) -> None:
         load_module(wp.get_device("cpu"), __name__, 1)
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
@@ -406,6 +361,7 @@ class RayCaster:
             self._instances.mesh = wp.array(ids)
             self._instances.first_face = wp.array(self._first_face[film.mesh], dtype=int)
             self._instances.flat = wp.array(flat)
+            self._instances.gloss = wp.array(film.gloss, dtype=wp.vec2)
             normals = np.concatenate([mesh.normals for mesh in film.meshes])
             self._instances.normals = wp.array(normals, dtype=wp.vec3)
             self._instances.cut = wp.zeros(len(flat), dtype=int)
@@ -518,7 +474,7 @@ class RayCaster:
             )
         self._instances.tree = self._tree.id
 
-    def _cast(self, camera: Camera, places: np.ndarray, seeds: np.ndarray, width: int, radius: int) -> np.ndarray:
+    def _cast(self, camera: CameraView, places: np.ndarray, seeds: np.ndarray, width: int, radius: int) -> np.ndarray:
         """Linear RGB colours of rays through image points in rows of `width`."""
         count = len(places)
         if count == 0:
@@ -533,7 +489,7 @@ class RayCaster:
             color = wp.zeros(count, dtype=wp.vec3)
         rays = RAYS if radius else RAYS_AT_EDGES
         self._launch(trace, count, lambda first: [first, camera, self._instances, at, seed, rays, seen])
-        self._launch(compose, count, lambda first: [first, width, radius, camera, seen, color])
+        self._launch(compose, count, lambda first: [first, width, radius, camera, self._instances.gloss, seen, color])
         return color.numpy().copy()
 
     def _launch(self, kernel, count: int, arguments) -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_rigid.render.appearance import corner_normals
+from warp_rigid.render.appearance import body_gloss, corner_normals
 from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.joints import DistanceJoint
@@ -44,6 +44,9 @@ def with_strings(film: Film, recording: Recording) -> Film:
         position=np.concatenate([film.position, place], axis=1),
         orientation=np.concatenate([film.orientation, still], axis=1),
         env=np.concatenate([film.env, np.arange(count)]),
+        body=np.concatenate([film.body, np.full(count, -1)]),
+        dynamic=np.concatenate([film.dynamic, np.zeros(count, bool)]),
+        gloss=np.concatenate([film.gloss, body_gloss(count, {})]),
     )
 
 

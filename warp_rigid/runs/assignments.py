@@ -14,10 +14,11 @@ from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.quantities import STATE_NAMES, VECTOR_LENGTHS, check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.scene.scene import SURFACE_VELOCITIES
 
 __all__ = ["BODY_PROPERTIES", "PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
 
-BODY_PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "active")
+BODY_PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, *SURFACE_VELOCITIES, "active")
 SELECTING = (*BODY_PROPERTIES, *joint_quantities.WRITABLE)
 """Properties of bodies and of joints, which can be selected by name."""
 PROPERTIES = (*SELECTING, "gravity", *field_values.names())
@@ -186,4 +187,4 @@ def _value(text: str) -> Any:
     try:
         return ast.literal_eval(text)
     except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
-        return text
+        return float(text) if text.lower().lstrip("+-") in ("nan", "inf") else text

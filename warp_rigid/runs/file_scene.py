@@ -2,9 +2,11 @@
 
 Besides the function `scene(**parameters)` the file may define
 
-- `events(sim, frame)`: called before each frame of 1/60 s, to push, spawn or change something;
-- `outcome(sim)`: called at the end, returns by name the measured values, (envs,), booleans for what passed, or a pair
-  of values and booleans; or a class as the built-in scenes have, made with the scene, with `observe` and `verdicts`;
+- `events(sim, frame)` or `events(sim, frame, parameters)`: called before each frame of 1/60 s, to push, spawn or change
+  something; `parameters` has those of `scene` by name;
+- `outcome(sim)` or `outcome(sim, parameters)`: called at the end, returns by name the measured values, (envs,), in SI
+  units. With a unit to show them in, it is a tuple (values, "mm"). Booleans are a verdict, also (values, booleans) and
+  (values, booleans, "mm"). Or a class as the built-in scenes have, made with the scene, with `observe` and `verdicts`;
 - `VARIANTS`: settings to compare, by name; the first is the default;
 - `vary(sim, **parameters)`: gives each environment of a batch a different start;
 - `SETTINGS`: differences from `Settings()` that the scene needs;
@@ -24,7 +26,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in, shown, suggestion
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
-from warp_rigid.runs.user_code import errors_of, module_of_file, scene_function
+from warp_rigid.runs.user_code import check_call, errors_of, module_of_file, scene_function, takes_parameters
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.scenes.demo import no_events
@@ -56,8 +58,8 @@ class FunctionOutcome(NoOutcome):
     """Outcome of a user's function, which is called once at the end."""
 
     def __init__(self, function: Callable, scene: Scene):
-        """Store the function; it receives the simulator, not the scene."""
-        self._function = function
+        """Remember the scene for its parameters."""
+        self._function, self._scene = function, scene
 
     def verdicts(self, sim: Any) -> list[Verdict]:
         """Return what the function measured.
@@ -66,23 +68,23 @@ class FunctionOutcome(NoOutcome):
             UserCodeError: the function fails, or does not return values for each environment by name.
         """
         with errors_of(self._function):
-            found = self._function(sim)
+            found = self._function(sim, dict(self._scene.parameters))
             if not isinstance(found, dict):
                 raise ValueError(f"outcome() must return a dictionary, got {shown(found)}")
             return [self._verdict(name, value, sim.num_envs) for name, value in found.items()]
 
     def _verdict(self, name: str, value: Any, count: int) -> Verdict:
-        values, passed = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
-        values, passed = np.atleast_1d(np.asarray(values)), np.atleast_1d(np.asarray(passed))
-        if passed.dtype != bool and not isinstance(value, tuple):
-            passed = np.ones(len(values), bool)
-        numbers = values.shape == passed.shape == (count,) and values.dtype.kind in "biuf"
-        if not numbers or passed.dtype != bool:
+        parts = list(value) if isinstance(value, tuple) else [value]
+        unit = parts.pop() if len(parts) > 1 and isinstance(parts[-1], str) else ""
+        columns = [np.atleast_1d(np.asarray(part)) for part in parts]
+        values, passed = columns[0], columns[-1] if columns[-1].dtype == bool else None
+        fits = all(column.shape == (count,) and column.dtype.kind in "biuf" for column in columns)
+        if not fits or len(columns) > 2 or (len(columns) == 2 and passed is None):
             raise ValueError(
-                f"outcome() must return ({count},) numbers for {name}, or a pair of numbers and booleans, "
-                f"got shape {values.shape} of {values.dtype}"
+                f"outcome() must return ({count},) numbers for {name}, or a tuple of these, of ({count},) booleans for "
+                f"a verdict, and of a unit, got {shown(value)}"
             )
-        return Verdict(str(name), values.astype(np.float64), "", passed, {})
+        return Verdict(str(name), values if values.dtype == bool else values.astype(np.float64), "", passed, {}, unit)
 
 
 def scene_of_file(path: Path) -> Demo:
@@ -94,10 +96,13 @@ def scene_of_file(path: Path) -> Demo:
     """
     module = module_of_file(path)
     build = scene_function(path, getattr(module, "scene", None))
-    for name, parameter in inspect.signature(build).parameters.items():
+    parameters = inspect.signature(build).parameters
+    for name, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty:
             raise ValueError(f"{path}: parameter {name} of scene() must have a default")
-    events = _function(path, module, "events")
+    events, vary = _function(path, module, "events", "sim", "frame"), _function(path, module, "vary")
+    if vary is not None:
+        check_call(path, f"vary({', '.join(['sim', *parameters])})", vary, None, **dict.fromkeys(parameters))
     return Demo(
         name=path.stem,
         summary=(module.__doc__ or "").partition("\n")[0],
@@ -107,31 +112,46 @@ def scene_of_file(path: Path) -> Demo:
         variants=_variants(path, module),
         events=no_events if events is None else partial(_every_frame, events),
         settings=_settings(path, "SETTINGS", getattr(module, "SETTINGS", {}), dt=True),
-        vary=_function(path, module, "vary"),
+        vary=vary,
     )
 
 
 def _every_frame(events: Callable, scene: Scene) -> list[tuple[float, Callable]]:
     """An event that calls a function before the first frame, and is followed by that of the next frame."""
-    return [(0.0, partial(_frame_event, events, 0))]
+    return [(0.0, partial(_frame_event, events, scene.parameters, 0))]
 
 
-def _frame_event(events: Callable, frame: int, sim: Any) -> tuple[float, Callable]:
+def _frame_event(events: Callable, parameters: dict[str, Any], frame: int, sim: Any) -> tuple[float, Callable]:
     """Call a function for a frame, or for the present one after a run was resumed; returns the next event."""
     passed = math.floor(sim.time * EVENT_RATE + 1e-6)
     frame = max(frame, passed)
-    events(sim, frame)
-    return (passed + 1) / EVENT_RATE, partial(_frame_event, events, frame + 1)
+    events(sim, frame, parameters)
+    return (passed + 1) / EVENT_RATE, partial(_frame_event, events, parameters, frame + 1)
 
 
-def _function(path: Path, module: ModuleType, name: str) -> Any:
-    """A function of the file, None if it has none of that name."""
+def _function(path: Path, module: ModuleType, name: str, *arguments: str) -> Any:
+    """A function of the file, None if it has none of that name.
+
+    With the names of its arguments it is checked for these, and the result takes the parameters of the scene as well.
+    """
     found = getattr(module, name, None)
     if found is None:
         return None
     if not callable(found):
         raise ValueError(f"{path}: {name} must be a function, got {shown(found)}")
-    return _checked(found)
+    return _checked(_with_parameters(path, found, *arguments) if arguments else found)
+
+
+def _with_parameters(path: Path, function: Callable, *arguments: str) -> Callable:
+    """A function of the file that also takes the parameters of the scene, in either form."""
+    if takes_parameters(path, function, *arguments):
+        return function
+
+    @wraps(function)
+    def without(*given: Any) -> Any:
+        return function(*given[:-1])
+
+    return without
 
 
 def _checked(function: Callable) -> Callable:
@@ -153,7 +173,11 @@ def _checked_verdicts(method: Callable) -> Callable:
         with errors_of(method):
             found, shape = method(outcome, sim), (sim.num_envs,)
             whole = isinstance(found, list) and all(isinstance(verdict, Verdict) for verdict in found)
-            if not whole or any(not np.shape(one.values) == np.shape(one.passed) == shape for one in found):
+            if (
+                not whole
+                or any(np.shape(one.values) != shape for one in found)
+                or any(one.passed is not None and np.shape(one.passed) != shape for one in found)
+            ):
                 raise ValueError(f"verdicts() must return a list of Verdict with {shape} values, got {shown(found)}")
             return found
 
@@ -166,7 +190,9 @@ def _outcome(path: Path, found: Any) -> Any:
         return NoOutcome
     if not callable(found):
         raise ValueError(f"{path}: outcome must be a function or a class, got {shown(found)}")
-    return _class_outcome(path, found) if inspect.isclass(found) else partial(FunctionOutcome, found)
+    if inspect.isclass(found):
+        return _class_outcome(path, found)
+    return partial(FunctionOutcome, _with_parameters(path, found, "sim"))
 
 
 def _class_outcome(path: Path, found: Any) -> type:
@@ -174,6 +200,7 @@ def _class_outcome(path: Path, found: Any) -> type:
     missing = [name for name in ("observe", "verdicts") if not callable(getattr(found, name, None))]
     if missing:
         raise ValueError(f"{path}: class outcome must have a method {missing[0]}")
+    check_call(path, "outcome(scene)", found, None)
     methods = {name: _checked(getattr(found, name)) for name in ("__init__", "observe")}
     methods["verdicts"] = _checked_verdicts(found.verdicts)
     # A subclass, so that checkpoints find the attributes of the user's class.

@@ -72,7 +72,7 @@ class Checkpoints:
             },
         }
         with plan.sim.in_use():
-            checkpoint.save(plan.sim._world, self.path, more, arrays)
+            checkpoint.save(plan.sim.internals, self.path, more, arrays)
 
     def resume(self, plan: Any, progress: Progress) -> bool:
         """Restore the simulator of the plan and the progress from the checkpoint.
@@ -89,9 +89,7 @@ class Checkpoints:
         try:
             more = header["more"]
             kept = more.get("run", {})
-            same_scene = _as_json(scenes_to_data(plan.sim.scenes)[0]) == {
-                name: header[name] for name in ("shapes", "scenes")
-            }
+            same_scene = _without_looks(_as_json(scenes_to_data(plan.sim.scenes)[0])) == _without_looks(header)
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         for name, value in _identity(plan, progress).items():
@@ -108,7 +106,7 @@ class Checkpoints:
             progress.recorder.restore(arrays.below(FRAMES))
             vars(progress.outcome).update({k: _from_plain(v, arrays) for k, v in more["outcome"].items()})
             with plan.sim.in_use():
-                checkpoint.restore(plan.sim._world, header, arrays)
+                checkpoint.restore(plan.sim.internals, header, arrays)
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         return True
@@ -129,6 +127,14 @@ def _identity(plan: Any, progress: Progress) -> dict[str, Any]:
             "quantities": progress.recorder.quantities,
         }
     )
+
+
+def _without_looks(data: dict[str, Any]) -> dict[str, Any]:
+    """What the states of a simulation depend on, of the data of its scenes."""
+    scenes = [
+        {name: value for name, value in scene.items() if name not in ("camera", "looks")} for scene in data["scenes"]
+    ]
+    return {"shapes": data["shapes"], "scenes": scenes}
 
 
 def _as_json(value: Any) -> Any:

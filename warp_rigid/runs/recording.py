@@ -20,8 +20,10 @@ from warp_rigid.extras import need
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.runs.drawn_surface import DrawnSurface, surfaces_of
+from warp_rigid.scene.camera import Camera, camera_of_text, with_body_index
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.look import Look, looks_from_data, looks_to_data
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 
 if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
@@ -38,7 +40,7 @@ VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
 """Quantities recorded on request."""
 RECORDED_UNITS = {"time": "s", "position": "m", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
 TAILS = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
-START = (*VELOCITIES, "mass", *COEFFICIENTS, "gravity")
+START = (*VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES, "gravity")
 """Quantities recorded in the first frame only."""
 CONTACTS = {name: f"contact_{name}" for name in CONTACT_RECORD.names or ()}
 """Archive members for the contact fields, concatenated over frames."""
@@ -80,6 +82,9 @@ class Recording:
         contacts: per frame the records of Simulator.contacts; None if not recorded.
         scene: the simulated scene; None in a recording read from a file.
         start: (envs, bodies, ...) quantities of the first frame by name (see START); empty if read from a file.
+        camera: where pictures are taken from, with the index of the body that it follows; None for a camera that keeps
+            the moving bodies in view.
+        looks: Look of bodies by their index.
     """
 
     time: np.ndarray
@@ -99,6 +104,8 @@ class Recording:
     contacts: tuple[np.ndarray, ...] | None = None
     scene: Scene | None = None
     start: dict[str, np.ndarray] = field(default_factory=dict)
+    camera: Camera | None = None
+    looks: dict[int, Look] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Show the size."""
@@ -177,6 +184,8 @@ class Recording:
             "names": self.names,
             "endless": [surface.endless for surface in self.surfaces],
             "angular_frequency": [surface.angular_frequency for surface in self.surfaces],
+            "camera": None if self.camera is None else str(self.camera),
+            "looks": looks_to_data(self.looks),
         }
         archive.save(path, KIND, VERSION, text, arrays, compress=True)
 
@@ -270,13 +279,14 @@ class Recorder:
         labels: one label per recorded environment.
         velocities: whether to record velocities.
         contacts: whether to record contacts.
+        camera: where pictures are taken from; None for the camera of the scene.
 
     Raises:
-        ValueError: An environment does not exist, environments have different scenes, or labels and environments differ
-            in number.
+        ValueError: An environment does not exist, environments have different scenes, labels and environments differ
+            in number, or the camera follows a body that does not exist.
     """
 
-    def __init__(self, sim, fps, envs=None, labels=None, velocities=False, contacts=False):
+    def __init__(self, sim, fps, envs=None, labels=None, velocities=False, contacts=False, camera=None):
         """Store the constant data; the first `capture` records the initial frame."""
         self.envs = np.arange(sim.num_envs) if envs is None else np.asarray(envs, dtype=np.int64)
         outside = self.envs[(self.envs < 0) | (self.envs >= sim.num_envs)]
@@ -289,6 +299,9 @@ class Recorder:
         self._captured = CAPTURED | (VELOCITIES if velocities else {})
         self._contacts = contacts
         self._scene = _common_scene(sim, self.envs)
+        camera = self._scene.camera if camera is None else camera
+        names = [body.name for body in self._scene.bodies]
+        self._camera = None if camera is None else with_body_index(camera, names)
         self._start = {name: self._rows(sim, name, np.float32) for name in START}
         self._frames: list[Frame] = []
 
@@ -344,6 +357,8 @@ class Recorder:
             contacts=self._contact_frames() if self._contacts else None,
             scene=self._scene,
             start=self._start,
+            camera=self._camera,
+            looks=dict(self._scene.looks),
         )
 
     def _stacked(self) -> dict[str, np.ndarray]:
@@ -381,6 +396,7 @@ def record(
     *,
     velocities: bool = False,
     contacts: bool = False,
+    camera: Camera | None = None,
     progress: bool = True,
 ) -> Recording:
     """Step a simulation and record the poses of every frame.
@@ -393,18 +409,20 @@ def record(
         envs: indices of the environments to record, which must have the same scene; None records all.
         velocities: whether to record velocities.
         contacts: whether to record the contacts of the last step of each frame.
+        camera: where pictures, films and USD files of the recording show it from; None for the camera of the scene.
         progress: show a bar in terminals and notebooks.
 
     Returns:
         A Recording of frames + 1 frames; the first is the state before the first step.
 
     Raises:
-        ValueError: fps does not divide the step rate, frames is negative, or an environment does not exist.
+        ValueError: fps does not divide the step rate, frames is negative, an environment does not exist, or the camera
+            follows a body that does not exist.
     """
     if frames < 0:
         raise ValueError(f"frames: must be >= 0, got {frames}")
     steps = steps_per_frame(sim.settings.dt, fps)
-    recorder = Recorder(sim, fps, envs, velocities=velocities, contacts=contacts)
+    recorder = Recorder(sim, fps, envs, velocities=velocities, contacts=contacts, camera=camera)
     with progress_bar.progress("recording", frames, progress) as advance:
         for index in range(frames + 1):
             if index > 0:
@@ -464,9 +482,12 @@ def _checked(text: dict, arrays: Mapping[str, np.ndarray]) -> dict:
         )
     fps = number_in("fps", text["fps"], above=0.0)
     contacts = _contacts(arrays, len(time)) if "contact_count" in arrays else None
+    camera = text.get("camera")  # older files have none
+    camera = None if camera is None else with_body_index(camera_of_text(str(camera)), names)
     return {
         "time": time, **frames, "fps": fps, "envs": envs, "labels": labels, "names": names, "motion": motion,
-        "surface": surface, "surfaces": surfaces, "contacts": contacts,
+        "surface": surface, "surfaces": surfaces, "contacts": contacts, "camera": camera,
+        "looks": looks_from_data(text.get("looks", []), len(names)),
     }  # fmt: skip
 
 

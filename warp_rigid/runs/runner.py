@@ -20,12 +20,12 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.assignments import SELECTING, Assignments, sort_assignments
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome, scene_of_file
-from warp_rigid.runs.following import follow_paths
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
 from warp_rigid.runs.user_code import UserCodeError
+from warp_rigid.scene.camera import Camera, camera_of_text, with_body_index
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.usd import import_usd
 from warp_rigid.usd.load import film_duration
@@ -51,6 +51,7 @@ class Plan:
         frames: number of frames to simulate.
         parameters: assigned values by name, for the summary.
         setup_seconds: wall-clock time to build the scene and the simulator, including kernel loading [s].
+        camera: where pictures are taken from; None for the camera of the scene.
     """
 
     demo: Demo
@@ -62,6 +63,7 @@ class Plan:
     frames: int
     parameters: dict[str, Any]
     setup_seconds: float = 0.0
+    camera: Camera | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +115,7 @@ def plan_run(
     device: Any = None,
     seed: int | None = None,
     memory_limit: int | float | None = None,
+    camera: str | None = None,
 ) -> Plan:
     """Build the scene and the simulator.
 
@@ -127,6 +130,7 @@ def plan_run(
         device: as in Simulator.
         seed: seed of the scene's random numbers; None uses its default.
         memory_limit: as in Simulator.
+        camera: where pictures are taken from: a text for camera_of_text, or the path or name of a camera of a USD file.
 
     Raises:
         ValueError: An argument is incompatible with the scene or with another argument.
@@ -143,6 +147,7 @@ def plan_run(
     if frames < 0:
         raise ValueError(f"--frames: must be >= 0, got {frames}")
     scene = demo.build(**given.scene)
+    chosen = None if camera is None else _camera(camera, scene)
     sim = Simulator(scene, num_envs=count, settings=settings, device=device, seed=seed or 0, memory_limit=memory_limit)
     if demo.vary and count > 1 and not variants and not given.batched:
         demo.vary(sim, **{**demo.parameters, **given.scene})
@@ -163,7 +168,24 @@ def plan_run(
         frames=frames,
         parameters={**given.scene, **given.settings, **given.properties, **given.batched},
         setup_seconds=time.perf_counter() - start,
+        camera=chosen,
     )
+
+
+def _camera(text: str, scene: Scene) -> Camera:
+    """The camera that a text describes or names.
+
+    Raises:
+        ValueError: There is no such camera, or the text has another form.
+    """
+    known = scene.import_report.cameras if scene.import_report is not None else {}
+    if "=" in text:
+        return with_body_index(camera_of_text(text), [body.name for body in scene.bodies])
+    found = [path for path in known if text in (path, path.rpartition("/")[2])]
+    if len(found) == 1:
+        return known[found[0]]
+    names = f"one of the cameras {listed(list(known))}" if known else "the scene has no cameras of its own"
+    raise ValueError(f"camera: must be values such as position=3,0,2 look_at=0,0,0 or {names}, got {shown(text)}")
 
 
 def execute(
@@ -194,7 +216,7 @@ def execute(
     events = sorted(plan.demo.events(scene), key=lambda event: event[0])
     outcome = plan.demo.outcome(scene)
     labels = [plan.labels[env] for env in envs] if envs is not None else plan.labels
-    recorder = Recorder(sim, plan.fps, envs, labels, velocities, contacts)
+    recorder = Recorder(sim, plan.fps, envs, labels, velocities, contacts, plan.camera)
     progress = Progress(recorder, outcome, events, np.zeros(sim.num_envs))
     if not (checkpoints and checkpoints.resume(plan, progress)):
         recorder.capture(sim)
@@ -261,7 +283,6 @@ def _scene_of_usd(path: Path) -> Demo:
         outcome=NoOutcome,
         duration=film_duration(path) or FILE_SCENE_DURATION,
         variants={},
-        events=follow_paths,
     )
 
 
@@ -336,7 +357,8 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
         sim: the simulator.
         name: a name accepted by Simulator.set. A property of bodies or joints may select them by name, pattern or
             index: "mass[box_3]", "mass[box_*]", "mass[4]", "joint_friction[elbow]". Without a selection, a coefficient
-            applies to all bodies, a property of joints to all joints, any other property to the dynamic bodies.
+            applies to all bodies, a property of joints to all joints, a velocity of surfaces to the bodies whose
+            surface runs in the scene, any other property to the dynamic bodies.
         values: one value per environment, shared by what is selected.
 
     Raises:
@@ -369,12 +391,18 @@ def selected(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
     elif choice:
         found = [index for index, entry in entries if fnmatch.fnmatchcase(entry.name, choice)]
     else:
-        anyone = owner == "joints" or plain in COEFFICIENTS
-        found = [index for index, entry in entries if anyone or entry.motion == Motion.DYNAMIC]
+        found = [index for index, entry in entries if _is_meant(entry, plain)]
     if not found:
         noun = {"bodies": "body", "joints": "joint"}[owner]
         raise ValueError(f"{name}: selects no {noun}; {owner} are {listed([entry.name for _, entry in entries])}")
     return found
+
+
+def _is_meant(entry: Any, plain: str) -> bool:
+    """Whether a property without a selection applies to a body or joint."""
+    if plain in SURFACE_VELOCITIES:
+        return any(any(getattr(entry, name)) for name in SURFACE_VELOCITIES)
+    return owner_of(plain) == "joints" or plain in COEFFICIENTS or entry.motion == Motion.DYNAMIC
 
 
 def _labels(given: Assignments, count: int) -> tuple[str, ...]:
@@ -422,6 +450,7 @@ def _summary(
         "set": plan.parameters,
         "settings": asdict(sim.settings),
         "labels": list(plan.labels),
+        "variants": {label: plan.demo.variants[label] for label in plan.labels if label in plan.demo.variants},
         **{name: int(value) for name, value in sim.counts().items()},
         "penetration": _numbers(sim.penetration()),
         "deepest_penetration": _numbers(deepest),
@@ -449,8 +478,8 @@ def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, An
         "name": verdict.name,
         "limit": verdict.limit,
         "unit": verdict.unit,
-        "values": _numbers(verdict.values),
-        "passed": [bool(passed) for passed in verdict.passed],
+        "values": verdict.values.tolist() if verdict.values.dtype == bool else _numbers(verdict.values),
+        "passed": None if verdict.passed is None else [bool(passed) for passed in verdict.passed],
         "expected": [None if variant is None else verdict.expected.get(variant) for variant in variants],
     }
 

@@ -13,7 +13,16 @@ from warp_rigid.checks import shown
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["UserCodeError", "check_columns", "column_name", "errors_of", "module_of_file", "scene_function"]
+__all__ = [
+    "UserCodeError",
+    "check_call",
+    "check_columns",
+    "column_name",
+    "errors_of",
+    "module_of_file",
+    "scene_function",
+    "takes_parameters",
+]
 
 
 class UserCodeError(ValueError):
@@ -61,9 +70,53 @@ def scene_function(path: Path, build: Any) -> Callable[..., Scene]:
             made = build(*arguments, **parameters)
             if not isinstance(made, Scene):
                 raise ValueError(f"scene() must return a Scene, got {shown(made)}")
+        given = inspect.signature(build).bind(*arguments, **parameters)
+        given.apply_defaults()
+        made = made.copy()  # a function may return the same scene each time
+        made.parameters = dict(given.arguments)
         return made
 
     return checked
+
+
+def takes_parameters(path: Path, function: Callable, *arguments: str) -> bool:
+    """Whether a function of a file takes the parameters of the scene after its other arguments.
+
+    Args:
+        path: the file.
+        function: the function.
+        arguments: names of its other arguments, for the error message.
+
+    Raises:
+        ValueError: It can be called neither with these arguments nor with these and the parameters.
+    """
+    signature = inspect.signature(function)
+    count = len(arguments)
+    short, long = (_accepts(signature, (None,) * number, {}) for number in (count, count + 1))
+    if long and (not short or list(signature.parameters)[count : count + 1] == ["parameters"]):
+        return True
+    name, given = getattr(function, "__name__", "function"), ", ".join(arguments)
+    check_call(path, f"{name}({given}) or {name}({given}, parameters)", function, *(None,) * count)
+    return False
+
+
+def check_call(path: Path, form: str, function: Callable, *arguments: Any, **named: Any) -> None:
+    """Check that a function or class of a file can be called with some arguments; `form` shows how it is called.
+
+    Raises:
+        ValueError: Its signature is another one.
+    """
+    signature = inspect.signature(function)
+    if not _accepts(signature, arguments, named):
+        raise ValueError(f"{path}: must define {form}, got {form.partition('(')[0]}{signature}")
+
+
+def _accepts(signature: inspect.Signature, arguments: tuple, named: dict[str, Any]) -> bool:
+    try:
+        signature.bind(*arguments, **named)
+    except TypeError:
+        return False
+    return True
 
 
 def check_columns(

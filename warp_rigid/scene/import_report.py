@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from warp_rigid.scene.pose_path import PosePath
+from warp_rigid.scene.camera import Camera
 
 __all__ = ["ImportFinding", "ImportReport"]
 
@@ -35,8 +35,7 @@ class ImportReport:
         findings: the differences, in file order.
         root: path of the prim below which was read; None for the whole stage.
         prims: indices of the movable bodies in the scene, by the paths of their prims.
-        paths: motion of the kinematic bodies that the file animates, by their indices; `run`, `view` and `sweep`
-            follow it.
+        cameras: cameras of the file by the paths of their prims; `Scene.camera` is the only one of a file.
         files: paths of all files that were read, with those that the imported file refers to.
     """
 
@@ -44,8 +43,8 @@ class ImportReport:
     findings: tuple[ImportFinding, ...] = ()
     root: str | None = None
     prims: dict[str, int] = field(default_factory=dict)
-    paths: dict[int, PosePath] = field(default_factory=dict)
     files: tuple[str, ...] = ()
+    cameras: dict[str, Camera] = field(default_factory=dict)
 
     @property
     def left_out(self) -> list[ImportFinding]:

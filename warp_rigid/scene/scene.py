@@ -14,23 +14,31 @@ import numpy as np
 from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
 from warp_rigid.display import html_of
 from warp_rigid.kernels.enums import CombineRule, Coordinate, Motion
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coefficients, list_coefficients
 from warp_rigid.scene.fields import FIELDS, ForceField
 from warp_rigid.scene.joints.joint import Drive, Joint, JointEntry, JointFrame
 from warp_rigid.scene.joints.placing import place_joint
+from warp_rigid.scene.look import Look
+from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield
 
 if TYPE_CHECKING:
     from warp_rigid.scene.import_report import ImportReport
 
-__all__ = ["COMBINE_RULES", "Body", "Motion", "Scene"]
+__all__ = ["COMBINE_RULES", "SURFACE_VELOCITIES", "Body", "Motion", "Scene"]
 
 Vector = Sequence[float] | np.ndarray
 
 COMBINE_RULES = tuple(rule.name.lower() for rule in CombineRule)
 
+SURFACE_VELOCITIES = ("surface_velocity", "surface_angular_velocity")
+
 OUT_OF_BOUNDS = ("report", "remove")
+
+STILL, UNTURNED = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+"""Velocity and orientation of a body for which none is given."""
 
 MOST_IN_A_POOL = 1_000_000
 
@@ -54,6 +62,9 @@ class Body(Coefficients):
         mass: [kg]; 0 for static and kinematic bodies, on which impulses have no effect.
         name: selects the body in a simulation and labels it in tables and files; unique in its scene.
         active: whether it is simulated from the start.
+        surface_velocity: (3,) velocity with which the surface runs along the body, in the shape's frame [m/s].
+        surface_angular_velocity: (3,) the same for a surface that turns about the origin of that frame [rad/s].
+        path: PosePath that the body follows; None for a body that follows none.
     """
 
     shape: Shape
@@ -65,6 +76,9 @@ class Body(Coefficients):
     mass: float
     name: str
     active: bool = True
+    surface_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    surface_angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    path: PosePath | None = None
 
 
 class Scene:
@@ -79,6 +93,8 @@ class Scene:
             None for no bounds. Simulator.status reports a moving body whose centre leaves the box.
         out_of_bounds: what happens to such a body: "report" changes nothing else, "remove" switches it off (`active`
             becomes False).
+        camera: where pictures, films, pages and USD files show the scene from; None for one that keeps the moving
+            bodies in view.
 
     Attributes:
         bodies: list of Body, in the order in which they were added.
@@ -86,14 +102,18 @@ class Scene:
         filtered_pairs: pairs of bodies' indices, the smaller one first, that never touch.
         joints: list of JointEntry, in the order in which they were added.
         import_report: what import_usd left out or changed; None for a scene that was not imported.
+        parameters: with which the function scene() of a .py file was called, by name; {} for other scenes.
         gravity: as given.
         friction_combine: as given.
         restitution_combine: as given.
         bounds: as given, or None.
         out_of_bounds: as given.
+        camera: as given; may be set.
+        looks: Look of bodies by their index, from the materials of an imported file.
 
     Raises:
-        ValueError: gravity is not three finite numbers, a rule is unknown, or the bounds are not a box.
+        ValueError: gravity is not three finite numbers, a rule is unknown, the bounds are not a box, or the camera is
+            not a Camera.
     """
 
     def __init__(
@@ -103,8 +123,10 @@ class Scene:
         restitution_combine: str = "min",
         bounds: tuple[Vector, Vector] | None = None,
         out_of_bounds: str = "report",
+        camera: Camera | None = None,
     ) -> None:
         """Start an empty scene."""
+        self.camera = camera
         self.bounds = None if bounds is None else box_corners("bounds", bounds)
         self.out_of_bounds = one_of("out_of_bounds", out_of_bounds, OUT_OF_BOUNDS)
         self.gravity = finite_vector("gravity", gravity)
@@ -116,7 +138,9 @@ class Scene:
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.joints: list[JointEntry] = []
+        self.looks: dict[int, Look] = {}
         self.import_report: ImportReport | None = None
+        self.parameters: dict[str, Any] = {}
 
     def __repr__(self) -> str:
         """Return the number of bodies of each kind as text."""
@@ -126,10 +150,21 @@ class Scene:
     def _repr_html_(self) -> str:
         return html_of(self)
 
+    @property
+    def camera(self) -> Camera | None:
+        """Where the scene is seen from; None for a camera that keeps the moving bodies in view."""
+        return self._camera
+
+    @camera.setter
+    def camera(self, camera: Camera | None) -> None:
+        if camera is not None and not isinstance(camera, Camera):
+            raise ValueError(f"camera: must be a Camera or None, got {shown(camera)}")
+        self._camera = camera
+
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""
         found = copy(self)
-        for name in ("bodies", "force_fields", "filtered_pairs", "joints"):
+        for name in ("bodies", "force_fields", "filtered_pairs", "joints", "looks"):
             setattr(found, name, copy(getattr(self, name)))
         return found
 
@@ -206,20 +241,42 @@ class Scene:
         *,
         position: Vector = (0.0, 0.0, 0.0),
         orientation: Vector = (0.0, 0.0, 0.0, 1.0),
+        surface_velocity: Vector = (0.0, 0.0, 0.0),
+        surface_angular_velocity: Vector = (0.0, 0.0, 0.0),
         name: str | None = None,
         active: bool = True,
         **coefficients: Unpack[CoefficientKeywords],
     ) -> int:
-        """Add a body that never moves. Arguments, result and errors are those of add_body."""
+        """Add a body that never moves; its surface can run, as that of a conveyor belt or a turntable.
+
+        Args:
+            shape: a shape.
+            position: as for add_body.
+            orientation: as for add_body.
+            surface_velocity: (3,) velocity of the surface relative to the body, in the shape's frame [m/s]. At a
+                contact only the part along the surface counts.
+            surface_angular_velocity: (3,) the same for a surface that turns about the origin of that frame [rad/s].
+            name: as for add_body.
+            active: as for add_body.
+            **coefficients: coefficients of the body by name; see Coefficients.
+
+        Returns:
+            The body's index.
+
+        Raises:
+            ValueError: A value has the wrong type or is outside its range.
+            TypeError: A keyword is unknown.
+        """
         self._check_shape(shape, Motion.STATIC)
         return self._add(
             shape,
             Motion.STATIC,
-            (position, orientation, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+            (position, orientation, STILL, STILL),
             0.0,
             name,
             active,
             coefficients,
+            (surface_velocity, surface_angular_velocity),
         )
 
     @list_coefficients
@@ -231,23 +288,46 @@ class Scene:
         orientation: Vector = (0.0, 0.0, 0.0, 1.0),
         linear_velocity: Vector = (0.0, 0.0, 0.0),
         angular_velocity: Vector = (0.0, 0.0, 0.0),
+        surface_velocity: Vector = (0.0, 0.0, 0.0),
+        surface_angular_velocity: Vector = (0.0, 0.0, 0.0),
+        path: PosePath | None = None,
         name: str | None = None,
         active: bool = True,
         **coefficients: Unpack[CoefficientKeywords],
     ) -> int:
-        """Add a body that moves with a prescribed velocity; contacts do not change it.
+        """Add a body that moves with a prescribed velocity, or along a path; contacts do not change it.
 
-        Arguments, result and errors are those of add_body.
+        Args:
+            shape: a shape, no Plane.
+            position: as for add_body; not together with a path.
+            orientation: as for add_body; not together with a path.
+            linear_velocity: as for add_body; not together with a path.
+            angular_velocity: as for add_body; not together with a path.
+            surface_velocity: as for add_static.
+            surface_angular_velocity: as for add_static.
+            path: a PosePath, which gives the pose at each time of the simulation, and with it the velocity.
+            name: as for add_body.
+            active: as for add_body.
+            **coefficients: coefficients of the body by name; see Coefficients.
+
+        Returns:
+            The body's index.
+
+        Raises:
+            ValueError: A value has the wrong type or is outside its range.
+            TypeError: A keyword is unknown.
         """
         self._check_shape(shape, Motion.KINEMATIC)
         return self._add(
             shape,
             Motion.KINEMATIC,
-            (position, orientation, linear_velocity, angular_velocity),
+            _start((position, orientation, linear_velocity, angular_velocity), path),
             0.0,
             name,
             active,
             coefficients,
+            (surface_velocity, surface_angular_velocity),
+            path,
         )
 
     def add_force_field(self, field: ForceField) -> None:
@@ -401,9 +481,11 @@ class Scene:
             kind = type(shape).__name__
             raise ValueError(f"shape: a {kind} can only be static, not {motion.name.lower()}")
 
-    def _add(self, shape, motion, state, mass, name, active, coefficients):
+    def _add(self, shape, motion, state, mass, name, active, coefficients, surface=(STILL, STILL), path=None):
         position, orientation, linear_velocity, angular_velocity = state
         for keyword in coefficients:
+            if keyword in SURFACE_VELOCITIES:
+                raise ValueError(f"{keyword}: must be of a static or kinematic body, not of a dynamic one")
             if keyword not in COEFFICIENTS:
                 raise TypeError(f"unexpected keyword argument {keyword!r}")
         if name is not None and not isinstance(name, str):
@@ -420,10 +502,26 @@ class Scene:
             mass=mass,
             name=_unique(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}", self._copies),
             active=active,
+            surface_velocity=finite_vector("surface_velocity", surface[0]),
+            surface_angular_velocity=finite_vector("surface_angular_velocity", surface[1]),
+            path=path,
             **coefficients,
         )
         self.bodies.append(body)
         return len(self.bodies) - 1
+
+
+def _start(state: tuple, path: PosePath | None) -> tuple:
+    """Pose and velocities of a kinematic body as given, or those of the start of its path."""
+    if path is None:
+        return state
+    if not isinstance(path, PosePath):
+        raise ValueError(f"path: must be a PosePath, got {shown(path)}")
+    names = ("position", "orientation", "linear_velocity", "angular_velocity")
+    for name, value, start in zip(names, state, (STILL, UNTURNED, STILL, STILL), strict=True):
+        if not np.array_equal(value, start):
+            raise ValueError(f"{name}: must not be given together with a path, which has it")
+    return (*path.at(0.0), STILL, STILL)
 
 
 def _unique(wanted: str, copies: dict[str, int]) -> str:

@@ -1,6 +1,6 @@
 """Conversion of a Scene to plain data and arrays, and back, bit for bit."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -8,10 +8,13 @@ import numpy as np
 
 from warp_rigid.checks import unit_quaternion, whole_in
 from warp_rigid.files.archive import shaped
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import FIELDS
 from warp_rigid.scene.joints import JOINTS, JointEntry, JointFrame
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.look import looks_from_data, looks_to_data
+from warp_rigid.scene.pose_path import PosePath
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 from warp_rigid.scene.shapes import Shape
 
 VELOCITIES = ("linear_velocity", "angular_velocity")
@@ -31,8 +34,10 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
     for body in scene.bodies:
         numbers = {
             name: getattr(body, name)
-            for name in ("position", "orientation", *VELOCITIES, "mass", "active", *COEFFICIENTS)
+            for name in ("position", "orientation", *VELOCITIES, "mass", "active", *COEFFICIENTS, *SURFACE_VELOCITIES)
         }
+        if body.path is not None:
+            numbers["path"] = _path_data(body.path)
         shape = _place_shape(body.shape, shapes, arrays, places)
         bodies.append({"shape": shape, "motion": body.motion.name, "name": body.name, **numbers})
     return {
@@ -41,6 +46,8 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
         "restitution_combine": scene.restitution_combine,
         "bounds": scene.bounds,
         "out_of_bounds": scene.out_of_bounds,
+        "camera": None if scene.camera is None else asdict(scene.camera),
+        "looks": looks_to_data(scene.looks),
         "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
@@ -65,11 +72,13 @@ def scenes_from_data(data: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> 
 
 def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
     rules = {name: data[name] for name in ("friction_combine", "restitution_combine", "bounds", "out_of_bounds")}
-    scene = Scene(data["gravity"], **rules)
+    camera = data.get("camera")  # older files have none
+    scene = Scene(data["gravity"], **rules, camera=None if camera is None else Camera(**camera))
     for field in data["fields"]:
         scene.add_force_field(FIELDS[field["kind"]](**{name: field[name] for name in field if name != "kind"}))
     for index, entry in enumerate(data["bodies"]):
         _add_body(scene, entry, shapes[whole_in(f"body {index} shape", entry["shape"], 0, len(shapes) - 1)])
+    scene.looks = looks_from_data(data.get("looks", []), len(scene.bodies))
     for a, b in data["filtered_pairs"]:
         scene.filter_pair(a, b)
     for entry in data.get("joints", []):  # older files have none
@@ -80,6 +89,12 @@ def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
 def _joint_data(entry: JointEntry) -> dict[str, Any]:
     """A joint as plain data."""
     return {**asdict(entry), "kind": type(entry.joint).__name__, "joint": entry.joint.values()}
+
+
+def _path_data(path: PosePath) -> dict[str, Any]:
+    """A path as plain data."""
+    names = ("times", "positions", "orientations")
+    return {**{name: getattr(path, name).tolist() for name in names}, "loop": path.loop}
 
 
 def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
@@ -96,15 +111,21 @@ def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
 
 def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     """Add a body with all checks, and keep its orientation unscaled, bit for bit."""
-    add: Callable[..., int] = {
+    add: Any = {
         Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
     }[Motion[entry["motion"]]]  # fmt: skip
+    motion = Motion[entry["motion"]]
     given = {name: entry[name] for name in ("position", "orientation", "name", "active")}
-    given |= {name: entry[name] for name in COEFFICIENTS if name in entry}  # older files have fewer
-    if entry["motion"] != Motion.STATIC.name:
+    # Older files have fewer coefficients, and no surfaces that run.
+    given |= {name: entry[name] for name in COEFFICIENTS if name in entry}
+    given |= {n: entry[n] for n in SURFACE_VELOCITIES if any(entry.get(n, ()))}
+    if motion != Motion.STATIC:
         given |= {name: entry[name] for name in VELOCITIES}
-    if entry["motion"] == Motion.DYNAMIC.name:
+    if motion == Motion.DYNAMIC:
         given["mass"] = entry["mass"]
+    if "path" in entry:
+        given = {name: given[name] for name in given if name not in ("position", "orientation", *VELOCITIES)}
+        given["path"] = PosePath(**entry["path"])
     index = add(shape, **given)
     x, y, z, w = (float(number) for number in entry["orientation"])
     orientation = (x, y, z, w)

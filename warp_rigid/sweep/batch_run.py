@@ -11,7 +11,6 @@ import numpy as np
 from warp_rigid.checks import shown
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.engine.step_reports import counts_of_environments
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
 from warp_rigid.runs.user_code import column_name
@@ -172,15 +171,14 @@ def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | Non
 def _run(job: Job, prepared: Prepared, start: float, on_part: Callable[[float], object]) -> Batch:
     sim = prepared.sim
     watch = Stopwatch()
-    loading = sim._world.load_seconds
-    watch.add({"load": loading, "build": time.perf_counter() - start - loading})
+    watch.add({"load": sim.load_seconds, "build": time.perf_counter() - start - sim.load_seconds})
     measuring = time.perf_counter()
     failures = Failures(sim.num_envs)
     outcomes = _Outcomes(job, prepared, failures)
     recorder = MetricRecorder(sim, [metric for metric in job.metrics if isinstance(metric, str) and metric != OUTCOME])
     observers = Observers(sim, job.observers, failures)
-    with watch.of("record"), sim.in_use():
-        sim._world.shards.record()
+    with watch.of("record"):
+        sim.prepare()
     looks: dict[str, list] = {name: [] for name in ("time", *job.series)}
     events = _events(job, prepared.views, failures)
     peak_counts = np.zeros((2, sim.num_envs), np.int64)
@@ -194,8 +192,7 @@ def _run(job: Job, prepared: Prepared, start: float, on_part: Callable[[float], 
             step_frame(sim, min(steps_per_sample, remaining), events)
         remaining -= steps_per_sample
         recorder.observe()
-        with sim.in_use():
-            peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
+        peak_counts = np.maximum(peak_counts, sim.pairs_and_contacts())
         outcomes.observe()
         observers.look()
         _append_look(sim, observers, looks)
@@ -261,12 +258,15 @@ class _Outcomes:
         self._outcomes = working
 
     def values(self) -> dict[str, np.ndarray]:
-        """The measured value of each verdict as "outcome_NAME", and whether it passed as "outcome_NAME_ok"."""
+        """The measured value of each verdict as "outcome_NAME", and whether a condition holds as "outcome_NAME_ok"."""
         found: dict[str, np.ndarray] = {}
         for outcome, view in self._outcomes:
             with self._failures.of(outcome, "outcome", view.envs):
                 for verdict in outcome.verdicts(view):
-                    for name, values in ((verdict.name, verdict.values), (f"{verdict.name}_ok", verdict.passed)):
+                    columns = {verdict.name: verdict.values, f"{verdict.name}_ok": verdict.passed}
+                    for name, values in columns.items():
+                        if values is None:
+                            continue
                         column = found.setdefault(f"outcome_{name}", np.full(self._num_envs, None, object))
                         column[view.envs] = np.asarray(values)
         return found

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.engine.quantities import owner_of
+from warp_rigid.engine.quantities import check_owner, owner_of
+from warp_rigid.engine.selection import Indices, Members, env_indices, indices_in
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
@@ -60,11 +61,18 @@ class EnvironmentView:
         """Simulated time [s]."""
         return self._sim.time
 
-    def get(self, name: str) -> np.ndarray:
+    def get(self, name: str, envs: Indices = None, bodies: Members = None, joints: Members = None) -> np.ndarray:
         """See Simulator.get."""
-        values = self._reads.read(name, lambda: self._sim.get(name))[self.envs]
-        count = {"bodies": self.num_bodies, "joints": len(self.scene.joints)}.get(owner_of(name))
-        return values if count is None else values[:, :count]
+        values = self._reads.read(name, lambda: self._sim.get(name))[self._chosen(envs)]
+        check_owner(name, bodies, joints)
+        owner, wanted = owner_of(name), bodies if joints is None else joints
+        if owner not in ("bodies", "joints"):
+            return values
+        return values[:, indices_in(self.scene, slice(None) if wanted is None else wanted, owner, owner)]
+
+    def _chosen(self, envs: Any) -> np.ndarray:
+        """Indices in the simulator of environments of the view."""
+        return self.envs[env_indices(self.num_envs, envs)]
 
     def contacts(self) -> np.ndarray:
         """See Simulator.contacts."""
@@ -75,28 +83,28 @@ class EnvironmentView:
         own["env"] = place[own["env"]]
         return own
 
-    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None, joints: Any = None) -> None:
+    def set(self, name: str, value: Any, envs: Indices = None, bodies: Members = None, joints: Members = None) -> None:
         """See Simulator.set."""
         if bodies is None and owner_of(name) == "bodies":
             bodies = np.arange(self.num_bodies)
         if joints is None and owner_of(name) == "joints":
             joints = np.arange(len(self.scene.joints))
-        self._sim.set(name, value, self.envs if envs is None else self.envs[envs], bodies, joints)
+        self._sim.set(name, value, self._chosen(envs), bodies, joints)
         self._reads.forget()
 
     def spawn(self, pool: str, position: Any, envs: Any = None, **state: Any) -> np.ndarray:
         """See Simulator.spawn; all but the pool and the position are given by name."""
         self._reads.forget()
-        return self._sim.spawn(pool, position, envs=self.envs if envs is None else self.envs[envs], **state)
+        return self._sim.spawn(pool, position, envs=self._chosen(envs), **state)
 
     def despawn(self, bodies: Any, envs: Any = None) -> None:
         """See Simulator.despawn."""
-        self._sim.despawn(bodies, self.envs if envs is None else self.envs[envs])
+        self._sim.despawn(bodies, self._chosen(envs))
         self._reads.forget()
 
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """See Simulator.apply_impulse."""
-        self._sim.apply_impulse(impulse, point, body, self.envs if envs is None else self.envs[envs])
+        self._sim.apply_impulse(impulse, point, body, self._chosen(envs))
         self._reads.forget()
 
     def penetration(self) -> np.ndarray:

@@ -14,13 +14,13 @@ from warp_rigid import scenes
 from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
 from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.precision import check_mass_ratio, check_precision
-from warp_rigid.engine.quantities import VELOCITIES, check_vectors
+from warp_rigid.engine.quantities import LACKED, VELOCITIES, check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.runs.assignments import assignment_target
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome
 from warp_rigid.runs.runner import find_scene, selected
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Body, Motion, Scene, check_mass
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, check_mass
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, stable_hash
@@ -262,9 +262,14 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
     else:
         check_vectors(plain, value)
         vector = finite_vector(name, value if np.ndim(value) else (value,) * 3)
-        for index in chosen if plain in VELOCITIES and any(vector) else ():
-            if scene.bodies[index].motion == Motion.STATIC:
-                raise ValueError(f"{name}: must be 0 for {scene.bodies[index].name}, which is static")
+        for index in chosen if any(vector) else ():
+            _check_velocity(scene.bodies[index], name, plain)
+
+
+def _check_velocity(body: Body, name: str, plain: str) -> None:
+    """Check that one of the selected bodies can have a quantity that is not 0."""
+    if plain in LACKED and body.motion == (Motion.DYNAMIC if plain in SURFACE_VELOCITIES else Motion.STATIC):
+        raise ValueError(f"{name}: must be 0 for {body.name}, which is {body.motion.name.lower()}")
 
 
 def _check_mass(body: Body, name: str, value: Any) -> None:
@@ -293,5 +298,6 @@ def _digest(content: bytes) -> str:
 
 
 def _numbers_of(body: Any) -> list:
-    names = ("position", "orientation", "linear_velocity", "angular_velocity", "mass")
-    return [getattr(body, name) for name in (*names, *COEFFICIENTS)]
+    names = ("position", "orientation", *VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES)
+    path = "" if body.path is None else _digest(body.path.key)
+    return [*(getattr(body, name) for name in names), path]

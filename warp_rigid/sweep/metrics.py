@@ -7,7 +7,6 @@ import numpy as np
 
 from warp_rigid.checks import shown, suggestion
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.engine.step_reports import counts_of_environments
 from warp_rigid.runs.user_code import check_columns
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
@@ -109,8 +108,7 @@ def _escaped(recorder: MetricRecorder) -> np.ndarray:
 
 def _contacts(recorder: MetricRecorder) -> np.ndarray:
     """Number of contacts in the last step."""
-    with recorder.sim.in_use():
-        return counts_of_environments(recorder.sim._world)[1]
+    return recorder.sim.pairs_and_contacts()[1]
 
 
 def _final_pose(recorder: MetricRecorder) -> dict[str, np.ndarray]:

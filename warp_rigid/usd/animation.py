@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from warp_rigid.render.appearance import bound_corners, frame_colors
+from warp_rigid.render.appearance import body_gloss, bound_corners, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Frame, Recording, is_moving
+from warp_rigid.scene.scene import Motion
+from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
@@ -91,6 +93,8 @@ class Instancers:
     def _define_group(self, samples: SampleWriter, path: str, group: _Group, library: Library, frame: Frame) -> None:
         layer = samples.layer
         prim = define(layer, path, "PointInstancer")
+        motion = Motion(int(self._film.motion[group.bodies[0]]))
+        prim.SetInfo("customData", {MARK: {"motion": motion.name.lower()}})
         define(layer, f"{path}/Prototypes", "Scope")
         prototype = define(layer, f"{path}/Prototypes/shape", "Mesh")
         library.add_reference(prototype, library.mesh_path(self._film.surface[group.bodies[0]]))
@@ -101,6 +105,10 @@ class Instancers:
         values = {**_pose_values(group), "primvars:displayColor": Vt.Vec3fArray.FromNumpy(group.color)}
         if self._velocities:
             values |= self._velocity_values(group, frame)
+        gloss = body_gloss(len(self._film.motion), self._film.looks)[group.bodies]
+        for column, name in enumerate(("roughness", "metallic") if self._film.looks else ()):
+            value = Vt.FloatArray.FromNumpy(np.ascontiguousarray(gloss[:, column]))
+            set_attribute(prim, f"primvars:{name}", NAMES.FloatArray, value, interpolation="vertex")
         for name, value in values.items():
             vertex = "vertex" if name.startswith("primvars:") else ""
             attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)
@@ -166,12 +174,11 @@ def _center(film: Recording, body: int) -> np.ndarray:
 
 
 def _groups(film: Recording) -> dict[str, np.ndarray]:
-    """Bodies grouped by surface, static and moving ones separately, by prim name."""
+    """Bodies grouped by surface and motion, by prim name."""
     groups = {}
-    moving = is_moving(film.motion)
     for index in range(len(film.surfaces)):
-        for moves in (False, True):
-            bodies = np.flatnonzero((film.surface == index) & (moving == moves))
+        for motion in Motion:
+            bodies = np.flatnonzero((film.surface == index) & (film.motion == motion))
             if len(bodies):
                 name = Tf.MakeValidIdentifier(film.names[bodies[0]])
                 groups[name if name not in groups else f"{name}_{bodies[0]}"] = bodies

@@ -7,6 +7,7 @@ from typing import Any
 
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.recording import Recorder, Recording
+from warp_rigid.scene.camera import Camera
 from warp_rigid.usd.options import UsdOptions
 
 __all__ = ["UsdStream", "export_usd"]
@@ -88,6 +89,7 @@ class UsdStream:
         fps: frames per simulated second; stored only, the caller steps the simulation.
         envs: indices of the environments to write; None writes all.
         labels: one label per environment.
+        camera: the camera of the file; None for that of the scene.
         **options: as in export_usd.
 
     Raises:
@@ -102,6 +104,7 @@ class UsdStream:
         fps: float = 60.0,
         envs: Iterable[int] | None = None,
         labels: Sequence[str] | None = None,
+        camera: Camera | None = None,
         **options: Any,
     ):
         """Open the file and write the first frame."""
@@ -111,7 +114,7 @@ class UsdStream:
         if chosen.layout == "override":
             raise ValueError("layout: override is written at the end, by export_usd, and not by a stream")
         velocities = chosen.velocities or chosen.color == "speed"
-        self._recorder = Recorder(sim, fps, envs, labels, velocities=velocities, contacts=chosen.contacts)
+        self._recorder = Recorder(sim, fps, envs, labels, velocities, chosen.contacts, camera)
         self._recorder.capture(sim)
         start = self._recorder.recording()
 

@@ -5,10 +5,21 @@ from pxr import Gf
 
 from warp_rigid.scene.shapes import Plane
 
-__all__ = ["MARK", "frame_of_plane", "gf_quaternion", "polar", "precise_quaternions", "quaternion_of_matrix"]
+__all__ = [
+    "FOLLOWS_PATH",
+    "MARK",
+    "frame_of_plane",
+    "gf_quaternion",
+    "polar",
+    "precise_quaternions",
+    "quaternion_of_matrix",
+]
 
 MARK = "warp_rigid"
 """Key of the custom data for content without a USD schema."""
+
+FOLLOWS_PATH = "followsPath"
+"""Name in it: the animation of a kinematic body is its path, and not only a film of it."""
 
 
 def gf_quaternion(orientation) -> Gf.Quatf:

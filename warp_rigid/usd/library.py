@@ -11,13 +11,14 @@ from pxr import Sdf, Vt
 from warp_rigid import rotations
 from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.runs.drawn_surface import DrawnSurface, drawn_surface
+from warp_rigid.scene.look import Look
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
-from warp_rigid.usd.look import define_surface
 from warp_rigid.usd.materials import write_material
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
+from warp_rigid.usd.stage_look import define_surface
 
 __all__ = ["Library", "simple_shapes", "write_pose"]
 
@@ -44,7 +45,7 @@ class Library:
         self._samples = SampleWriter(layer)
         self._moving: dict[str, tuple[DrawnSurface, list[Track]]] = {}
         self._colliders: dict[tuple[str, tuple[float, ...]], str] = {}
-        self._painted: dict[tuple[str, tuple[float, ...]], str] = {}
+        self._painted: dict[tuple[str, tuple[float, ...], Look | None], str] = {}
         define(layer, root, "Scope", specifier=Sdf.SpecifierClass)
 
     def mesh_path(self, index: int) -> str:
@@ -110,17 +111,17 @@ class Library:
                 write_mesh(mesh, surface.vertices, surface.faces)
         return self._colliders[key]
 
-    def painted(self, colliders: str, color: np.ndarray) -> str:
-        """Path of an Xform that references colliders and gives them a material of a colour (3,).
+    def painted(self, colliders: str, color: np.ndarray, look: Look | None = None) -> str:
+        """Path of an Xform that references colliders and gives them a material of a colour (3,) and a look.
 
         The material is bound within the Xform: readers that keep instances, such as Blender, find none outside.
         """
-        key = (colliders, tuple(np.asarray(color).tolist()))
+        key = (colliders, tuple(np.asarray(color).tolist()), look)
         if key not in self._painted:
             path = f"{self.root}/painted_{len(self._painted)}"
             self._painted[key] = path
             self.add_reference(define(self.layer, path, "Xform"), colliders)
-            define_surface(self.layer, f"{path}/paint", color)
+            define_surface(self.layer, f"{path}/paint", color, look)
             for child in self.layer.GetPrimAtPath(colliders).nameChildren:
                 if child.typeName == "Mesh" and child.attributes.get("purpose") is None:
                     over = define(self.layer, f"{path}/{child.name}", specifier=Sdf.SpecifierOver)
@@ -139,10 +140,28 @@ def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> N
     set_attribute(prim, "faceVertexCounts", names.IntArray, Vt.IntArray.FromNumpy(counts))
     set_attribute(prim, "faceVertexIndices", names.IntArray, Vt.IntArray.FromNumpy(corners.reshape(-1)))
     set_attribute(prim, "normals", names.Normal3fArray, Vt.Vec3fArray.FromNumpy(normals), interpolation="faceVarying")
+    st = _texture_coordinates(points, corners, normals)
+    set_attribute(prim, "primvars:st", names.TexCoord2fArray, st, interpolation="faceVarying")
     set_attribute(prim, "subdivisionScheme", names.Token, "none", uniform=True)
     set_attribute(prim, "extent", names.Float3Array, _extent(points))
     # Open surfaces are visible from inside.
     set_attribute(prim, "doubleSided", names.Bool, True, uniform=True)
+
+
+def _texture_coordinates(points: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> Vt.Vec2fArray:
+    """Coordinates of an image, one per corner, from 0 to 1 along the longest side of the shape.
+
+    Each triangle is projected along the axis closest to its normal, so that an image lies on the sides of a box.
+    """
+    if not len(corners):
+        return Vt.Vec2fArray()
+    lower = points.min(axis=0)
+    scaled = ((points - lower) / max(float(np.ptp(points, axis=0).max()), 1e-30))[corners]
+    axis = np.abs(normals.reshape(-1, 3, 3).mean(axis=1)).argmax(axis=1)
+    first, second = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
+    rows = np.arange(len(corners))[:, None], np.arange(3)[None]
+    flat = np.stack([scaled[*rows, first[:, None]], scaled[*rows, second[:, None]]], axis=-1)
+    return Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(flat.reshape(-1, 2), dtype=np.float32))
 
 
 def _extent(points: np.ndarray) -> Vt.Vec3fArray:

@@ -17,7 +17,7 @@ def import_usd(
 
     Lengths, masses and the up axis are converted to metres, kilograms and z. Meshes collide as nonconvex solids with a
     signed distance grid. References, instances and PointInstancers are expanded. Poses are those at the start of the
-    animation; the motion of animated kinematic bodies is in `scene.import_report.paths`.
+    animation; animated kinematic bodies follow their motion as a path.
 
     Unsupported content (joints, articulations, unknown schemas) is listed in `scene.import_report`, with a warning.
 
@@ -45,7 +45,7 @@ def import_usd(
         reader = Reader(path, root, sdf_resolution)
         scene = reader.scene()
     scene.import_report = ImportReport(
-        str(path), tuple(reader.findings), root, reader.prims, reader.paths, reader.files
+        str(path), tuple(reader.findings), root, reader.prims, reader.files, reader.cameras
     )
     lost = len(scene.import_report.left_out)
     if strict and reader.findings:

@@ -10,15 +10,16 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from warp_rigid import rotations
-from warp_rigid.render.appearance import continuous_signs
+from warp_rigid.scene.camera import Camera, with_body_index
 from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.actuators import ACTUATOR
+from warp_rigid.usd.cameras import read_camera
 from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs, linked
-from warp_rigid.usd.geometry import polar, quaternion_of_matrix
+from warp_rigid.usd.geometry import FOLLOWS_PATH, polar, quaternion_of_matrix
 from warp_rigid.usd.instancing import OF_ORIGIN, expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
@@ -26,6 +27,8 @@ from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
+from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
+from warp_rigid.usd.surfaces import read_look
 
 __all__ = ["Reader"]
 
@@ -47,7 +50,7 @@ SUPPORTED = {
 
 SCHEMAS = {
     "PhysicsRigidBodyAPI", "PhysicsMassAPI", "PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "PhysicsMaterialAPI",
-    "PhysicsFilteredPairsAPI", "NewtonSDFCollisionAPI", "NewtonMaterialAPI", *JOINT_SCHEMAS,
+    "PhysicsFilteredPairsAPI", "NewtonSDFCollisionAPI", "NewtonMaterialAPI", SURFACE_SCHEMA, *JOINT_SCHEMAS,
 }  # fmt: skip
 FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 """Prefixes of physics schemas."""
@@ -85,7 +88,7 @@ class Reader:
     Attributes:
         findings: differences between the file and the scene.
         prims: indices of the movable bodies by the paths of their prims.
-        paths: motion of the animated kinematic bodies by their indices.
+        cameras: cameras by the paths of their prims.
         files: paths of the file and of all that it refers to.
         stage: the stage.
         meter: its length unit [m].
@@ -102,7 +105,7 @@ class Reader:
         """Open the file and expand its instancers in memory."""
         self.path, self.findings = path, []
         self.prims: dict[str, int] = {}
-        self.paths: dict[int, PosePath] = {}
+        self.cameras: dict[str, Camera] = {}
         self._sdf_resolution = sdf_resolution
         self.stage = open_stage(path)
         self.files = tuple(layer.realPath for layer in self.stage.GetUsedLayers() if layer.realPath)
@@ -133,7 +136,9 @@ class Reader:
         objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(self.stage, [str(self._root.GetPath())])
         self._report_unsupported(objects)
         scene = self._empty_scene(objects)
-        for body in self._bodies(objects):
+        bodies = self._bodies(objects)
+        self._report_surfaces(bodies)
+        for body in bodies:
             self._add(scene, body)
         scale_to_total(self.stage, scene)
         descriptions = dict(_described(objects, COLLIDERS))
@@ -145,6 +150,7 @@ class Reader:
             members[path] = linked(named & members.keys(), joints.values())
         filter_pairs(self.stage, scene, self.body_of, descriptions, members, self.leave_out)
         JointReader(self, scene).read(objects)
+        self._read_cameras(scene)
         if not scene.bodies:
             reason = f"; {self.findings[0]}" if self.findings else ""
             raise ValueError(
@@ -152,6 +158,22 @@ class Reader:
                 "profile='scene' to include them"
             )
         return scene
+
+    def _read_cameras(self, scene: Scene) -> None:
+        """Read the cameras of the file; the scene gets the only one."""
+        middle = np.median([body.position for body in scene.bodies], axis=0) if scene.bodies else np.zeros(3)
+        for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
+            if prim.IsA(UsdGeom.Camera):
+                try:
+                    position, rotation, _ = self._frame(prim, self._transforms)
+                    matrix = np.eye(4)
+                    matrix[:3, :3], matrix[:3, 3] = rotation, position
+                    camera = read_camera(prim, matrix, self.meter, middle, self.change)
+                    self.cameras[str(prim.GetPath())] = with_body_index(camera, [body.name for body in scene.bodies])
+                except ValueError as error:
+                    self.leave_out(prim.GetPath(), str(error))
+        if len(self.cameras) == 1:
+            scene.camera = next(iter(self.cameras.values()))
 
     def leave_out(self, prim, reason: str) -> None:
         """Report what of a path the scene lacks."""
@@ -178,6 +200,13 @@ class Reader:
             kind = prim.GetTypeName()
             if kind and kind != ACTUATOR and not prim.GetPrimTypeInfo().GetSchemaTypeName():
                 self.leave_out(prim.GetPath(), f"type {kind} is not supported")
+
+    def _report_surfaces(self, bodies: list[_Body]) -> None:
+        """Report surfaces that run, but not on a static or kinematic body."""
+        running = {str(body.prim.GetPath()) for body in bodies if body.motion != Motion.DYNAMIC}
+        for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
+            if has_surface_motion(prim) and str(prim.GetPath()) not in running:
+                self.leave_out(prim.GetPath(), "only the surface of a static or kinematic body can run")
 
     def _empty_scene(self, objects: dict) -> Scene:
         """Create a scene with gravity, combine modes and force fields."""
@@ -306,8 +335,14 @@ class Reader:
             **self._coefficients(body, group),
         }
         try:
+            if body.motion != Motion.DYNAMIC:
+                surface = read_surface_motion(body.prim, rotation, stretch, self._to_z_up, self.meter)
+                common |= surface.in_frame(where, rotations.matrix(turn)).keywords
             if body.motion == Motion.STATIC:
                 index = scene.add_static(shape, **common)
+            elif motion is not None:
+                del common["position"], common["orientation"]
+                index = scene.add_kinematic(shape, **common, path=motion)
             elif body.motion == Motion.KINEMATIC:
                 center = where + rotations.rotate(turn, shape.center_of_mass)
                 index = scene.add_kinematic(shape, **common, **self._velocities(body.prim, rotation, center))
@@ -320,9 +355,10 @@ class Reader:
             self.leave_out(body.prim.GetPath(), str(error))
             return
         self.body_of |= {str(collider.prim.GetPath()): index for collider in group}
+        look = read_look(body.prim)
+        if look is not None:
+            scene.looks[index] = look
         self._keep_index(body, index)
-        if motion is not None:
-            self.paths[index] = motion
 
     def _keep_index(self, body: _Body, index: int) -> None:
         """Note which body of the scene a prim became."""
@@ -411,7 +447,8 @@ class Reader:
 
     def _motion(self, body: _Body) -> PosePath | None:
         """The motion of an animated kinematic body; that of a static one is reported."""
-        if body.motion == Motion.DYNAMIC or custom_data(body.prim) or not _is_animated(body.prim):
+        custom = custom_data(body.prim)  # of this package, which animates every body that moves
+        if body.motion == Motion.DYNAMIC or (custom and FOLLOWS_PATH not in custom) or not _is_animated(body.prim):
             return None
         if body.motion == Motion.STATIC:
             self.change(body.prim, "its animated motion is ignored; it stays at the first pose of the animation")
@@ -420,9 +457,9 @@ class Reader:
         frames = [self._frame(body.prim, UsdGeom.XformCache(code)) for code in codes]
         if np.ptp([stretch for _, _, stretch in frames], axis=0).max() > SCALE_TOLERANCE * self.meter:
             self.change(body.prim, "its animated scale is ignored; it keeps the first one")
-        orientation = continuous_signs(np.array([quaternion_of_matrix(rotation) for _, rotation, _ in frames]))
-        time = (np.array(codes) - codes[0]) / self.stage.GetTimeCodesPerSecond()
-        return PosePath(time, np.array([position for position, _, _ in frames]), orientation)
+        orientations = [quaternion_of_matrix(rotation) for _, rotation, _ in frames]
+        times = (np.array(codes) - codes[0]) / self.stage.GetTimeCodesPerSecond()
+        return PosePath(times, [position for position, _, _ in frames], orientations)
 
 
 def _described(objects: dict, kinds: Any) -> Iterator[tuple[str, Any]]:

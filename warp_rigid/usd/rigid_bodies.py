@@ -11,14 +11,15 @@ from warp_rigid.render.appearance import frame_colors
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Body, Motion, Scene
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import CONSTANT_COLORINGS
 from warp_rigid.usd.field_data import fields_to_data
-from warp_rigid.usd.geometry import MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
+from warp_rigid.usd.geometry import FOLLOWS_PATH, MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.joint_prims import write_joint
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
+from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, write_surface_motion
 
 __all__ = ["Bodies"]
 
@@ -73,7 +74,7 @@ class Bodies:
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
             path = library.collider(body.shape, self._coefficients(index))
             if self._color in CONSTANT_COLORINGS:
-                path = library.painted(path, self._colors[index])
+                path = library.painted(path, self._colors[index], self._film.looks.get(index))
             library.add_reference(geometry, path)
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             paths.append(f"{root}/{name}")
@@ -114,8 +115,12 @@ class Bodies:
         """Define a body without its geometry."""
         start, row = self._film.start, self._row
         apis = [[], ["PhysicsRigidBodyAPI"], ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]][body.motion]
-        prim = define(samples.layer, path, "Xform", apis)
-        prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower()}})
+        surface = [start[name][row, index] for name in SURFACE_VELOCITIES]
+        prim = define(samples.layer, path, "Xform", [*apis, *([SURFACE_SCHEMA] if np.any(surface) else [])])
+        if np.any(surface):
+            write_surface_motion(prim, *surface)
+        follows = {} if body.path is None else {FOLLOWS_PATH: True}
+        prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower(), **follows}})
         place, turn = write_pose(prim, self._position[index], self._orientation[index])
         hue = set_attribute(
             prim, "primvars:displayColor", NAMES.Color3fArray, _color(self._colors[index]), interpolation="constant"
@@ -126,6 +131,11 @@ class Bodies:
             (self._color_tracks, hue),
         ):
             tracks.append(samples.track(attribute))
+        if index in self._film.looks:
+            for name in ("roughness", "metallic"):
+                value = [getattr(self._film.looks[index], name)]
+                primvar = f"primvars:{name}"
+                set_attribute(prim, primvar, NAMES.FloatArray, Vt.FloatArray(value), interpolation="constant")
         if body.motion == Motion.STATIC:
             return prim
         set_attribute(prim, "physics:velocity", NAMES.Vector3f, self._velocity[index])

@@ -12,10 +12,10 @@ from warp_rigid.files.atomic import atomic_file, check_replaceable, hidden_besid
 from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets, is_tilted
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
+from warp_rigid.usd.cameras import CameraWriter
 from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
-from warp_rigid.usd.look import define_look, place_camera
 from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
 from warp_rigid.usd.specs import (
@@ -28,6 +28,7 @@ from warp_rigid.usd.specs import (
     set_attribute,
     stage_metadata,
 )
+from warp_rigid.usd.stage_look import define_look
 
 __all__ = ["UsdWriter"]
 
@@ -110,6 +111,7 @@ class UsdWriter:
                 for samples, writer in self._writers:
                     writer.sample(samples, float(self._frames), frame)
                 self._library.sample(float(self._frames), frame.time)
+                self._camera.sample(float(self._frames), frame)
         self._spread.add(frame.position[self._rows])
         self._frames += 1
         if self._live and self._frames - self._flushed >= self._flush_interval():
@@ -186,7 +188,8 @@ class UsdWriter:
             self._root.GetPrimAtPath(WORLD).referenceList.prependedItems = [Sdf.Reference(self._asset(base), WORLD)]
         else:
             base = self._new_part("shapes", "Shapes") if separate else self._root
-        define_look(self._root, WORLD)
+        define_look(self._root, WORLD, bool(self._film.looks))
+        self._camera = CameraWriter(self._root, f"{WORLD}/Camera", self._film, int(self._rows[0]), frame)
         self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time)
         if self._profile == "animation":
             for index, surface in enumerate(self._film.surfaces):
@@ -244,7 +247,7 @@ class UsdWriter:
             set_attribute(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*offset))
             order = Vt.TokenArray(["xformOp:translate"])
             set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
-        place_camera(self._root, WORLD, *self._spread.corners(offsets))
+        self._camera.place(*self._spread.moving_corners(offsets), offsets[0])
         beyond = float(np.abs(offsets - offsets[0]).max())
         for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), self._spread, beyond)):
             original = self._film.surfaces[index]

@@ -8,6 +8,7 @@ from warp_rigid.validation import (
     arches,
     articulated,
     contact_search,
+    conveyors,
     free_motion,
     friction,
     impact,
@@ -39,6 +40,7 @@ SECTIONS = (
     smooth_motion,
     articulated,
     passive_mechanisms,
+    conveyors,
 )
 CPU = "cpu"
 

@@ -100,9 +100,17 @@ def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest:
     for env in np.flatnonzero(failed["warning"] != "")[:3]:
         lines.append(f"environment {env}: warning: **{failed['warning'][env]}**")
     for verdict in verdicts:
-        shown = [
-            f"{'yes' if passed else 'no'} ({shown_value(value, verdict.unit)})"
-            for value, passed in zip(verdict.values[rows], verdict.passed[rows], strict=True)
-        ]
-        lines.append(f"{verdict.limit}: **{', '.join(shown[:4])}**{' ...' if len(shown) > 4 else ''}")
+        shown = _shown(verdict, rows)
+        lines.append(f"{verdict.limit or verdict.name}: **{', '.join(shown[:4])}**{' ...' if len(shown) > 4 else ''}")
     return "\n\n".join(lines)
+
+
+def _shown(verdict: Verdict, rows: np.ndarray) -> list[str]:
+    """The value of each environment, and whether the condition holds if there is one."""
+    values = [shown_value(value, verdict.unit) for value in verdict.values[rows]]
+    if verdict.passed is None:
+        return values
+    answers = ["yes" if passed else "no" for passed in verdict.passed[rows]]
+    if verdict.values.dtype == bool:
+        return answers
+    return [f"{answer} ({value})" for answer, value in zip(answers, values, strict=True)]

@@ -15,6 +15,7 @@ import numpy as np
 from warp_rigid.commands.terminal import explain, is_device_error
 from warp_rigid.render.appearance import apply_coloring
 from warp_rigid.render.film import Film, film_from_recording
+from warp_rigid.render.framing import points_to_see
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
@@ -24,19 +25,21 @@ from warp_rigid.viewer.instances import Instances, bytes_of_light
 from warp_rigid.viewer.overlays import CONTACTS, Overlays
 from warp_rigid.viewer.page import (
     add_labels,
+    follow_with_pages,
     ground_heights,
     keep_above_ground,
+    keep_framed,
     look_at_film,
-    look_from_page,
     opacity_of_walls,
     png_bytes,
     set_light,
     start_server,
     stop_server,
+    widen_views,
 )
 from warp_rigid.viewer.panel import Panel
-from warp_rigid.viewer.picking import trace
-from warp_rigid.viewer.session import Session
+from warp_rigid.viewer.picking import first_hit, trace
+from warp_rigid.viewer.session import Paced, Session
 from warp_rigid.viewer.slice_view import SliceView
 
 __all__ = ["LiveViewer"]
@@ -51,6 +54,8 @@ REFUSALS = (ValueError, FileNotFoundError, ModuleNotFoundError)
 """Errors of requests that are not valid. All others are bugs, and are logged with their traceback."""
 LOADING_PATIENCE, PICTURE_PATIENCE = 3.0, 20.0
 """Longest time to wait until a page shows the scene, and until it returns a picture [s]."""
+SEEN_THROUGH = 0.7
+"""Opacity of bodies with contacts while these are shown."""
 LEAST_DIRECTION = 1.0e-6
 """Shortest vector that still gives a direction."""
 
@@ -99,6 +104,7 @@ class LiveViewer:
         self._panel = Panel(self)
         set_light(self.server, fast)
         self._stale = True
+        self._widen = Paced(share=0.01, period=0.5)
         self._updates, self._since, self._rate, self._pace = 0, (time.perf_counter(), 0.0), 0.0, 0.0
         self._show_scene()
         # In a thread of its own: it waits for the page, and viser's threads are few.
@@ -296,14 +302,12 @@ class LiveViewer:
 
     def _welcome(self, client: Any) -> None:
         """Fit the view to the page, and let the simulation wait until the page shows the scene."""
-        look_from_page(client, self._film)
+        keep_framed(client, lambda: self._film)
         client.camera.on_update(lambda _: keep_above_ground(client, ground_heights(self._film)))
         try:
             client.get_render(16, 16, timeout=LOADING_PATIENCE)
         except Exception as error:  # a page in the background draws nothing
             log.info("the page did not report that it was loaded: %s", error)
-        # The panel may have narrowed the view meanwhile.
-        look_from_page(client, self._film)
         self._loaded.add(client.client_id)
 
     def _replay(self, wall: float) -> bool:
@@ -383,9 +387,10 @@ class LiveViewer:
     def _show_scene(self) -> None:
         """Put the bodies of the shown environments on the page."""
         session = self.session
-        recorder = Recorder(session.sim, 1.0 / PERIOD, self.rows, [session.plan.labels[row] for row in self.rows])
+        labels = [session.plan.labels[row] for row in self.rows]
+        recorder = Recorder(session.sim, 1.0 / PERIOD, self.rows, labels, camera=session.plan.camera)
         recorder.capture(session.sim)
-        self._film: Film = replace(film_from_recording(recorder.recording()), view=session.plan.demo.view)
+        self._film: Film = film_from_recording(recorder.recording())
         motion = np.array([body.motion for body in session.plan.scene.bodies])
         self._plain = bytes_of_light(self._film.color)
         self._walls = np.where(np.tile(motion == Motion.STATIC, len(self.rows)), opacity_of_walls(self._film), 1.0)
@@ -398,9 +403,10 @@ class LiveViewer:
             self._instances = Instances(self.server, self._film, np.tile(motion != Motion.STATIC, len(self.rows)))
             self._instances.wire(self._options["wireframe"])
             self._labels = add_labels(self.server, self._film)
+        points = points_to_see(self._film, [0])
+        self._extent = float(np.ptp(points, axis=0).max())
         for handle, chosen in self._instances.handles:
-            if self._dynamic[chosen].any():
-                self._listen(handle, chosen)
+            self._listen(handle, chosen)
         look_at_film(self.server, self._film)
         moving = np.flatnonzero(motion == Motion.DYNAMIC)
         self.chosen = (int(self.rows[0]), int(moving[0]) if len(moving) else 0)
@@ -411,43 +417,64 @@ class LiveViewer:
         self._publish()
 
     def _listen(self, handle: Any, chosen: np.ndarray) -> None:
-        """Connect clicks to pushes and drags to pulls of the bodies of a batch."""
+        """Connect clicks to pushes and drags to pulls of the bodies of a batch.
+
+        Where a fixed body fills the view, drags turn the camera.
+        """
 
         @handle.on_click
         def _(event) -> None:
             self.ask(self._push, chosen, event.instance_index, event.ray_origin, event.ray_direction)
 
-        @handle.on_drag
-        async def _(event) -> None:
-            self.ask(self._drag, event.phase, chosen, event.instance_index, event.start_position, event.end_position)
+        size = np.ptp(self._film.meshes[self._film.mesh[chosen[0]]].vertices, axis=0).max()
+        if self._dynamic[chosen].any() or size < self._extent:
 
-    def _place_of(self, chosen: np.ndarray, index: Any) -> tuple[int, int, np.ndarray]:
-        """Environment, body and where the environment stands.
+            @handle.on_drag
+            async def _(event) -> None:
+                line = event.client.camera.position, event.start_position, event.end_position
+                self.ask(self._drag, event.phase, chosen, event.instance_index, *line)
+
+    def _picked(self, chosen: np.ndarray, index: Any, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int]:
+        """Row and body that the page has picked.
+
+        The page gives no index for what it draws around the body under the pointer: then the ray tells the body.
 
         Raises:
             ValueError: There is no such body, or no longer.
         """
-        if not isinstance(index, int) or not 0 <= index < len(chosen) or chosen[index] >= len(self._dynamic):
-            raise ValueError("body: the one that was clicked is not on the page")
-        row, body = divmod(int(chosen[index]), self.session.sim.num_bodies)
-        return int(self.rows[row]), body, self._film.offset[row]
+        sim = self.session.sim
+        if index is not None:
+            if not isinstance(index, int) or not 0 <= index < len(chosen) or chosen[index] >= len(self._dynamic):
+                raise ValueError("body: the one that was clicked is not on the page")
+            return divmod(int(chosen[index]), sim.num_bodies)
+        shapes = [body.shape for body in self.session.plan.scene.bodies] * len(self.rows)
+        position = sim.get("position")[self.rows] + self._film.offset[:, None]
+        orientation = sim.get("orientation")[self.rows]
+        found = first_hit(shapes, position.reshape(-1, 3), orientation.reshape(-1, 4), origin, direction)
+        if found is None:
+            raise ValueError("body: there is none under the pointer")
+        return divmod(found[0], sim.num_bodies)
 
     def _push(self, chosen: np.ndarray, index: Any, origin: Any, direction: Any) -> None:
         """Push the body that a ray hits, away from the camera."""
-        env, body, offset = self._place_of(chosen, index)
         origin, direction = check_point("ray", origin), check_point("direction", direction)
         if np.linalg.norm(direction) < LEAST_DIRECTION:
             raise ValueError("direction: must not be zero")
-        sim, data = self.session.sim, self.session.plan.scene.bodies[body]
+        row, body = self._picked(chosen, index, origin, direction)
+        env, data, sim = int(self.rows[row]), self.session.plan.scene.bodies[body], self.session.sim
+        if data.motion != Motion.DYNAMIC:
+            self._panel.say(f"**{data.name}** is {data.motion.name.lower()}: a push does not move it")
+            self.choose(body, env)
+            return
         position, orientation = sim.get("position")[env, body], sim.get("orientation")[env, body]
-        point, _ = trace(data.shape, position, orientation, origin - offset, direction)
+        point, _ = trace(data.shape, position, orientation, origin - self._film.offset[row], direction)
         velocity = self._options["strength"] * direction / np.linalg.norm(direction)
         impulse = self.session.push(env, body, point, velocity)
         strength, place = np.linalg.norm(impulse), np.round(point, 3).tolist()
         self._panel.say(f"pushed **{data.name}** with {strength:.3g} N s at {place} m")
         self.choose(body, env)
 
-    def _drag(self, phase: str, chosen: np.ndarray, index: Any, start: Any, end: Any) -> None:
+    def _drag(self, phase: str, chosen: np.ndarray, index: Any, eye: Any, start: Any, end: Any) -> None:
         """Pull a body toward the pointer while the button is down."""
         if phase == "end":
             self.session.release()
@@ -455,12 +482,18 @@ class LiveViewer:
         # A drag may outlast its scene.
         if phase == "update" and self.session.pull_ends is None:
             return
-        env, body, offset = self._place_of(chosen, index)
-        start, end = check_point("start", start), check_point("end", end)
-        if phase == "start":
-            self.session.pull(env, body, start - offset, end - offset)
-        else:
-            self.session.move_pull(end - offset)
+        end = check_point("end", end)
+        if phase == "update":
+            self.session.move_pull(end - self._film.offset[self.session.pull_ends[0] - int(self.rows[0])])
+            return
+        eye = check_point("camera", eye)
+        row, body = self._picked(chosen, index, eye, end - eye)
+        data, offset = self.session.plan.scene.bodies[body], self._film.offset[row]
+        if data.motion != Motion.DYNAMIC:
+            raise ValueError(f"{data.name}: is {data.motion.name.lower()}; only dynamic bodies can be pulled")
+        # Without an index the page knows no place on the body.
+        start = check_point("start", start) if isinstance(index, int) else end
+        self.session.pull(int(self.rows[row]), body, start - offset, end - offset)
 
     def _cut(self) -> None:
         """Update or remove the slice."""
@@ -489,6 +522,11 @@ class LiveViewer:
             row = env - int(rows[0])
             self._slice.follow(position[row, body], orientation[row, body])
             self._draw_rope()
+            poses = {"position": position.reshape(1, -1, 3), "orientation": orientation.reshape(1, -1, 4)}
+            if self._film.camera.body is not None:
+                follow_with_pages(self.server, replace(self._film, **poses), 0)
+            elif self.session.running or self._looping:
+                self._widen(widen_views, self.server, replace(self._film, **poses))
         self._stale = True
 
     def _colors(self) -> np.ndarray:
@@ -504,13 +542,23 @@ class LiveViewer:
         return bytes_of_light(apply_coloring(by, self._film.color, self._dynamic, values))
 
     def _opacity(self) -> np.ndarray:
-        # Contacts lie inside the bodies.
-        opacity = self._walls * (0.4 if CONTACTS in self._overlays.shown else 1.0)
+        opacity = self._walls.copy()
+        if CONTACTS in self._overlays.shown:
+            opacity[self._touching()] *= SEEN_THROUGH
         if self._options["sleepers"]:
             opacity[self.session.sim.get("asleep")[self.rows].reshape(-1) & self._dynamic] *= 0.35
         if self._options["slice"]:
             opacity[(self.chosen[0] - self.rows[0]) * self.session.sim.num_bodies + self.chosen[1]] = 0.15
         return opacity
+
+    def _touching(self) -> np.ndarray:
+        """(instances,) True for moving bodies with contacts: the contacts lie inside them."""
+        sim = self.session.sim
+        contacts = sim.contacts()
+        touching = np.zeros((sim.num_envs, sim.num_bodies), bool)
+        for name in ("body_a", "body_b"):
+            touching[contacts["env"], contacts[name]] = True
+        return touching[self.rows].reshape(-1) & self._dynamic
 
     def _draw_rope(self) -> None:
         ends = self.session.pull_ends

@@ -1,17 +1,51 @@
 """Ray casting from the page to a body: sphere tracing in the signed distance of the body."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.shapes.base import Shape
 
-__all__ = ["trace"]
+__all__ = ["first_hit", "trace"]
 
 MOST_STEPS = 200
 NEAR = 1.0e-3
 """A point counts as on the surface within this part of the shape's size."""
 CAUTION = 0.9
 """Part of the distance that a step goes: an interpolated distance may be a little too long."""
+
+
+def first_hit(
+    shapes: Sequence[Shape], position: np.ndarray, orientation: np.ndarray, origin: np.ndarray, direction: np.ndarray
+) -> tuple[int, np.ndarray] | None:
+    """The first body of finite size that a ray hits, and where; None if it hits none.
+
+    Args:
+        shapes: of the bodies.
+        position: (bodies, 3) of the bodies [m].
+        orientation: (bodies, 4) of the bodies, quaternions (x, y, z, w).
+        origin: (3,) where the ray starts [m].
+        direction: (3,) of the ray, any length.
+    """
+    ahead = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    bounds = np.array([np.asarray(shape.bounds) for shape in shapes])
+    finite = np.isfinite(bounds).all(axis=(1, 2))
+    bounds = np.where(finite[:, None, None], bounds, 0.0)
+    radius = 0.5 * np.linalg.norm(np.ptp(bounds, axis=1), axis=1)
+    middle = bounds.mean(axis=1)
+    away = rotate(orientation.astype(np.float64), middle) + position - origin
+    along = away @ ahead
+    near = finite & (np.linalg.norm(away - along[:, None] * ahead, axis=1) <= radius) & (along > -radius)
+    found, nearest = None, np.inf
+    for body in np.flatnonzero(near)[np.argsort((along - radius)[near])].tolist():
+        if along[body] - radius[body] > nearest:
+            break
+        point, hit = trace(shapes[body], position[body], orientation[body], origin, ahead)
+        distance = float((point - origin) @ ahead)
+        if hit and distance < nearest:
+            found, nearest = (body, point), distance
+    return found
 
 
 def trace(shape: Shape, position, orientation, origin, direction) -> tuple[np.ndarray, bool]:

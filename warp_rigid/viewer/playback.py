@@ -8,12 +8,21 @@ import numpy as np
 
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.render.appearance import continuous_signs
-from warp_rigid.render.camera import event_end
 from warp_rigid.render.film import Film, film_from_recording, film_from_usd
+from warp_rigid.render.framing import event_end
 from warp_rigid.runs.recording import Recording
+from warp_rigid.scene.camera import camera_of_text, with_body_index
 from warp_rigid.viewer.branding import own_title
 from warp_rigid.viewer.instances import Instances
-from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
+from warp_rigid.viewer.page import (
+    add_labels,
+    follow_with_pages,
+    keep_framed,
+    look_at_film,
+    set_light,
+    start_server,
+    stop_server,
+)
 
 __all__ = ["FilmViewer", "load_film", "save_html"]
 
@@ -23,16 +32,35 @@ PAGE_RATE = 60.0
 """Largest frame rate of a standalone page [1/s]."""
 END_PAUSE = 1.0
 """Time for which a standalone page shows the last frame before it starts again [s]."""
+LOADER = "e.textContent=code;"
+"""Where the page of viser starts its program, which it has unpacked as text."""
+LOADER_WITHOUT_RESET = r'e.textContent=code.replace(/[\w$]+\.useEnvironment\.set\([\w$]+\(\)\);/,"return;");'
+"""The same, with an empty function `resetScene`.
+
+Viser calls it before every loop and after every step back. It hides all bodies and brings back viser's own lights and
+a faded picture, until the messages of the first frame are handled. A film shows the same bodies in the same light from
+its first to its last frame, so that nothing has to be reset.
+"""
 
 
-def load_film(path: str) -> Film:
+def load_film(path: str, camera: str | None = None) -> Film:
     """A recording (.npz) or a USD film.
+
+    Args:
+        path: of the file.
+        camera: text for camera_of_text, instead of the camera of the film.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds nothing that can be played.
+        ValueError: It holds nothing that can be played, or the camera follows none of its bodies.
     """
-    return film_from_recording(Recording.load(path)) if path.endswith(".npz") else film_from_usd(path)
+    if path.endswith(".npz"):
+        recording = Recording.load(path)
+        film, names = film_from_recording(recording), recording.names
+    else:
+        film = film_from_usd(path)
+        names = tuple(str(index) for index in range(int(film.body.max()) + 1))
+    return film if camera is None else replace(film, camera=with_body_index(camera_of_text(camera), names))
 
 
 class FilmViewer:
@@ -61,6 +89,10 @@ class FilmViewer:
         self._instances = Instances(self.server, film, film.moving)
         add_labels(self.server, film)
         look_at_film(self.server, film)
+        # In a thread of its own: it waits for the page, and viser's threads are few.
+        self.server.on_client_connect(
+            lambda client: threading.Thread(target=keep_framed, args=(client, lambda: self.film), daemon=True).start()
+        )
         self._add_controls()
 
     @property
@@ -99,6 +131,8 @@ class FilmViewer:
     def _show(self, frame: int) -> None:
         with self.server.atomic():
             self._instances.show(self.film, frame)
+            if self.film.camera.body is not None:
+                follow_with_pages(self.server, self.film, frame)
         if self._scrubber.value != frame:
             self._scrubber.value = frame
         self._time.content = f"{frame / self.film.fps:.2f} s of {(self.film.num_frames - 1) / self.film.fps:.2f} s"
@@ -168,6 +202,11 @@ def save_html(film: Film, path, fast: bool = False) -> None:
         # The page starts again at once: the end is shown for a while, so that the loop is no jump in the motion.
         page.insert_sleep(END_PAUSE)
         with atomic_file(path) as beside:
-            beside.write_text(own_title(page.as_html()), encoding="utf-8")
+            beside.write_text(own_title(_without_reset(page.as_html())), encoding="utf-8")
     finally:
         stop_server(server)
+
+
+def _without_reset(page: str) -> str:
+    """The text of a standalone page of viser that does not reset the scene before each loop."""
+    return page.replace(LOADER, LOADER_WITHOUT_RESET, 1)

@@ -70,7 +70,7 @@ class Session:
 
     Args:
         source: a built-in scene or a .py file, as for `warp-rigid run`.
-        **options: of runner.plan_run: assignments, num_envs, compare, device, seed, substeps.
+        **options: of runner.plan_run: assignments, num_envs, compare, device, seed, substeps, camera.
 
     Attributes:
         plan: the scene with its simulator.
@@ -91,7 +91,8 @@ class Session:
 
     def open(self, source: str, **options: Any) -> None:
         """Load another scene on the same device; settings of the last one are discarded."""
-        kept = {name: self._options[name] for name in ("device", "seed") if name in self._options}
+        again = ("camera",) if source == getattr(self, "source", None) else ()
+        kept = {name: self._options[name] for name in ("device", "seed", *again) if name in self._options}
         demo = runner.find_scene(source)
         self.plan = runner.plan_run(demo, **{**kept, **options})
         self.source = source

@@ -1,6 +1,6 @@
 """MuJoCo on one core of the CPU."""
 
-from problem import PeerProblem, main, timed, write
+from problem import PeerProblem, main, timed_one_by_one, write
 
 
 def run(problem: PeerProblem) -> None:
@@ -17,16 +17,15 @@ def run(problem: PeerProblem) -> None:
         for world, target in zip(worlds, problem.targets, strict=True):
             world.ctrl[:] = target
 
-    def advance(frames: int) -> None:
-        for world in worlds:
-            mujoco.mj_step(model, world, nstep=frames * problem.substeps)
+    def advance(env: int, frames: int) -> None:
+        mujoco.mj_step(model, worlds[env], nstep=frames * problem.substeps)
 
     figures = {
         "engine": "mujoco",
         "version": mujoco.__version__,
         "collider": collider,
         "device": "cpu",
-        **timed(problem, advance),
+        **timed_one_by_one(problem, advance),
         "contacts": int(sum(world.ncon for world in worlds)),
     }
     positions, velocities = np.array([w.qpos for w in worlds]), np.array([w.qvel for w in worlds])

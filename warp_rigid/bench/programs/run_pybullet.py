@@ -3,7 +3,7 @@
 import tempfile
 from pathlib import Path
 
-from problem import PeerProblem, as_obj, main, timed, write
+from problem import PeerProblem, as_obj, main, timed_one_by_one, write
 
 
 def run(problem: PeerProblem) -> None:
@@ -18,12 +18,11 @@ def run(problem: PeerProblem) -> None:
             path.write_text(as_obj(parts))
         worlds = [_world(pybullet, problem, path, env) for env in range(problem.num_envs)]
 
-    def advance(frames: int) -> None:
-        for client, _ in worlds:
-            for _ in range(frames * problem.substeps):
-                pybullet.stepSimulation(physicsClientId=client)
+    def advance(env: int, frames: int) -> None:
+        for _ in range(frames * problem.substeps):
+            pybullet.stepSimulation(physicsClientId=worlds[env][0])
 
-    seconds = timed(problem, advance)
+    seconds = timed_one_by_one(problem, advance)
     poses = [[pybullet.getBasePositionAndOrientation(b, physicsClientId=c) for b in bodies] for c, bodies in worlds]
     speeds = [[pybullet.getBaseVelocity(b, physicsClientId=c)[0] for b in bodies] for c, bodies in worlds]
     # The eighth item of a contact is its gap.

@@ -2,7 +2,7 @@
 
 from importlib.metadata import version
 
-from problem import PeerProblem, main, timed, write
+from problem import PeerProblem, main, timed_one_by_one, write
 
 
 def run(problem: PeerProblem) -> None:
@@ -13,12 +13,11 @@ def run(problem: PeerProblem) -> None:
     shapes = _shapes(rapier3d, problem)
     worlds = [_world(rapier3d, problem, shapes, env) for env in range(problem.num_envs)]
 
-    def advance(frames: int) -> None:
-        for world, _ in worlds:
-            for _ in range(frames * problem.substeps):
-                world.step()
+    def advance(env: int, frames: int) -> None:
+        for _ in range(frames * problem.substeps):
+            worlds[env][0].step()
 
-    seconds = timed(problem, advance)
+    seconds = timed_one_by_one(problem, advance)
     bodies = [[world.rigid_bodies[handle] for handle in handles] for world, handles in worlds]
     read = [
         [[(b.translation.x, b.translation.y, b.translation.z) for b in row] for row in bodies],

@@ -18,6 +18,8 @@ from warp_rigid.scene.shapes.sampling import SampleList, sample_mesh
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree, triangle_tree
 
 SAMPLES_PER_SIDE = 16
+LARGE = 10.0
+"""Extent from which the unit of a file is doubted that does not state one [m]."""
 CELLS_OF_A_WALL = 1.3
 """Thickness from which a wall holds by the grid alone, in cells: measured 1.28."""
 
@@ -101,7 +103,8 @@ class Mesh(Shape):
         """Read a mesh file.
 
         Vertices that a file format repeats for each face (STL) or texture seam (OBJ) are merged
-        without a warning; other repairs warn.
+        without a warning; other repairs warn. So does a mesh of 10 m or more from a file that does not state its
+        unit and is not scaled.
 
         Args:
             path: OBJ, STL, PLY, GLB, GLTF or OFF, or USD (.usd, .usda, .usdc, .usdz; all its meshes
@@ -123,6 +126,8 @@ class Mesh(Shape):
         notable = [text for text in mesh.repairs if "duplicate" not in text]
         if notable:
             warnings.warn(f"{path}: mesh repaired: {'; '.join(notable)}", stacklevel=2)
+        if scale == 1.0 and not mesh_files.states_its_unit(path):
+            mesh._doubt_unit(f"{path}: ", "scale=0.001")
         return mesh
 
     @classmethod
@@ -138,7 +143,16 @@ class Mesh(Shape):
         """
         if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
             raise ValueError(f"mesh: must have vertices and faces, as a trimesh.Trimesh, got {shown(mesh)}")
-        return cls(mesh.vertices, mesh.faces, sdf_resolution)
+        made = cls(mesh.vertices, mesh.faces, sdf_resolution)
+        if getattr(mesh, "units", None) is None:
+            made._doubt_unit("mesh: ", "mesh.apply_scale(0.001)")
+        return made
+
+    def _doubt_unit(self, where: str, remedy: str) -> None:
+        """Warn about a large mesh whose unit is not stated."""
+        extent = float(np.ptp(self.vertices, axis=0).max())
+        if extent >= LARGE:
+            warnings.warn(f"{where}the mesh is {extent:.3g} m long; if it is in mm, use {remedy}", stacklevel=3)
 
     @classmethod
     def restored(

@@ -6,30 +6,21 @@ from typing import Any
 
 import warp as wp
 
-from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step import STAGES, Stages, ignore_stage
+from warp_rigid.engine.world import World
 
 Measure = Callable[[], list[tuple[str, float]]]
 """Does a step, and returns the stages in their order with the time of each [s]."""
 
 
-def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
-    """Seconds that each stage takes in one step of all environments, in the present state.
+def stage_times(world: World, steps: int) -> dict[str, float]:
+    """Seconds that each stage takes in one step; see Simulator.stage_times.
 
-    The steps are undone afterwards; a warm-up step before them is not timed. On the CPU the times are processor times,
-    which do not depend on other programs, and each stage is recorded as a separate graph. On CUDA the step is one graph
-    that contains events.
-
-    Args:
-        sim: the simulator.
-        steps: number of steps to average over, at least 1.
-
-    Returns:
-        Stages by name, in their order.
+    On the CPU each stage is recorded as a separate graph; on CUDA the step is one graph that contains events.
     """
     seconds: dict[str, float] = {}
-    for shard in sim._world.shards:
-        measure = _record_on_cuda(shard.stages) if sim.device.is_cuda else _record_on_cpu(shard.stages)
+    for shard in world.shards:
+        measure = _record_on_cuda(shard.stages) if world.device.is_cuda else _record_on_cpu(shard.stages)
         shard.save(attempt=0)
         for name, _ in measure():
             seconds.setdefault(name, 0.0)

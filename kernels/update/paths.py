@@ -1,0 +1,100 @@
+"""Prescribed motions: kinematic bodies that follow the keyframes of a path.
+
+The pose at the start of a step and that at its end follow from the environment's step counter, in float64. The body
+gets the first one, and the velocity that leads to the second one. Rounding errors do not add up, and a reset, a
+checkpoint or a repeated step needs nothing but the counter.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.schema import Bodies, Environments, Paths, State
+from warp_rigid.kernels.update.integrate import precise, rotation_vector
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def time_on_path(k: int, time: wp.float64, paths: Paths):
+    """Time of the keyframes at a time of the simulation [s]: held before the start and after the end, or repeated."""
+    first = paths.time[paths.first[k]]
+    last = paths.time[paths.first[k] + paths.count[k] - 1]
+    if paths.loop[k] == 1 and time > first:
+        return first + wp.mod(time - first, last - first)
+    return wp.clamp(time, first, last)
+
+
+@wp.func
+def keyframe_before(k: int, time: wp.float64, paths: Paths):
+    """The last keyframe at or before a time, of those that have a next one."""
+    low = paths.first[k]
+    high = paths.first[k] + paths.count[k] - 1
+    while high - low > 1:
+        middle = (low + high) / 2
+        if paths.time[middle] <= time:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@wp.func
+def is_same(p: wp.quatd, q: wp.quatd):
+    """Whether two quaternions are equal to the bit."""
+    return p[0] == q[0] and p[1] == q[1] and p[2] == q[2] and p[3] == q[3]
+
+
+@wp.func
+def turn_between(p: wp.quatd, q: wp.quatd):
+    """Rotation vector of the shorter turn from one orientation to another [rad], exactly 0 for equal ones."""
+    if is_same(p, q):
+        return wp.vec3d()
+    return rotation_vector(q * wp.quat_inverse(p))
+
+
+@wp.func
+def turned(q: wp.quatd, rotation: wp.vec3d):
+    """An orientation turned by a rotation vector in the world frame; unchanged by exactly 0."""
+    angle = wp.length(rotation)
+    if angle == wp.float64(0.0):
+        return q
+    return wp.normalize(wp.quat_from_axis_angle(rotation / angle, angle) * q)
+
+
+@wp.func
+def pose_at(k: int, time: wp.float64, paths: Paths):
+    """Position and orientation on a path at a time: between keyframes the body moves and turns evenly."""
+    t = time_on_path(k, time, paths)
+    i = keyframe_before(k, t, paths)
+    share = (t - paths.time[i]) / (paths.time[i + 1] - paths.time[i])
+    position = paths.position[i] + share * (paths.position[i + 1] - paths.position[i])
+    turn = turn_between(paths.orientation[i], paths.orientation[i + 1])
+    return position, turned(paths.orientation[i], share * turn)
+
+
+@wp.kernel
+def follow_paths(dt: wp.float64, paths: Paths, bodies: Bodies, envs: Environments, state: State):
+    """One thread per path: pose of the body at the start of the step, and its mean velocity in the step."""
+    k = wp.tid()
+    b = paths.body[k]
+    env = bodies.env[b]
+    if envs.failed[env] == 1:
+        return
+    time = wp.float64(envs.step[env]) * dt
+    position, turn = pose_at(k, time, paths)
+    next_position, next_turn = pose_at(k, time + dt, paths)
+    center = wp.vec3d(bodies.center_of_mass[b])
+    way = next_position - position
+    rotation = turn_between(turn, next_turn)
+    if wp.length(rotation) > wp.float64(0.0):
+        way += wp.quat_rotate(next_turn, center) - wp.quat_rotate(turn, center)
+    spin = rotation / dt
+    rounded = wp.quat(wp.float32(turn[0]), wp.float32(turn[1]), wp.float32(turn[2]), wp.float32(turn[3]))
+    rest = turn - precise(rounded, wp.vec4(0.0, 0.0, 0.0, 0.0))
+    state.position[b] = wp.vec3(position)
+    state.orientation[b] = rounded
+    state.orientation_remainder[b] = wp.vec4(
+        wp.float32(rest[0]), wp.float32(rest[1]), wp.float32(rest[2]), wp.float32(rest[3])
+    )
+    state.linear_velocity[b] = wp.vec3(way / dt)
+    state.angular_velocity[b] = wp.vec3(spin)
+    state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))

@@ -1,0 +1,123 @@
+"""Hints on units: given once where they are probably wrong, and never on the built-in scenes."""
+
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+
+import warp_rigid as wr
+from warp_rigid import scenes
+from warp_rigid.commands import cli
+from warp_rigid.engine.hints import hints_on
+from warp_rigid.engine.quantities import owner_of, writable
+
+
+def hinted(act):
+    """Messages of the warnings of a call."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("default", UserWarning)
+        act()
+    return [str(one.message) for one in found if one.category is UserWarning]
+
+
+def hinge(limits):
+    scene = wr.Scene()
+    scene.add_body(wr.Box((0.1, 0.1, 0.1)), name="lever")
+    scene.add_joint(wr.RevoluteJoint((0, 1, 0), limits=limits), "lever", name="elbow")
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("limits", "count"),
+    [
+        ((-90, 90), 1),
+        ((0.0, 45.0), 1),
+        ((-np.inf, 170.0), 1),
+        ((-np.pi, np.pi), 0),
+        ((-2 * np.pi, 2 * np.pi), 0),
+        ((-np.inf, np.inf), 0),
+        (None, 0),
+    ],
+)
+def test_limits_beyond_a_full_turn(limits, count):
+    scene = hinge(limits)
+    found = hinted(lambda: [wr.Simulator(scene, device="cpu") for _ in range(3)])
+    assert len(found) == count and all("elbow" in text and "np.radians" in text for text in found)
+
+
+def test_a_slide_of_many_metres_is_no_hinge():
+    scene = wr.Scene()
+    scene.add_body(wr.Box((0.1, 0.1, 0.1)))
+    scene.add_joint(wr.PrismaticJoint((0, 1, 0), limits=(-90, 90)), 0)
+    assert hints_on([scene], 1 / 240) == []
+
+
+@pytest.mark.parametrize(
+    ("dt", "moving", "words"),
+    [
+        (1 / 240, {"linear_velocity": (100.0, 0, 0)}, "moves by 2.1 times"),
+        (1 / 240, {"linear_velocity": (40.0, 0, 0)}, None),
+        (1 / 60, {"linear_velocity": (40.0, 0, 0)}, "moves by 3.3 times"),
+        (0.2, {}, "moves by 2 times"),
+        (1 / 60, {}, None),
+        (1 / 60, {"angular_velocity": (0, 0, 120.0)}, "turns by 2 rad"),
+        (1 / 240, {"angular_velocity": (0, 0, 120.0)}, None),
+        (1 / 60, {"linear_velocity": (40.0, 0, 0), "active": False}, None),
+    ],
+)
+def test_steps_that_do_not_resolve_the_start(dt, moving, words):
+    """A ball of 0.2 m: v dt + g dt^2 over its size, and omega dt."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    scene.add_body(wr.Sphere(0.1), name="ball", position=(0, 0, 1), **moving)
+    found = hinted(lambda: wr.Simulator(scene, settings=wr.Settings(dt=dt), device="cpu"))
+    assert len(found) == (words is not None) and all(words in text and "ball" in text for text in found)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "glb"])
+def test_meshes_in_millimetres(tmp_path, suffix):
+    """glTF is in metres by definition."""
+    path = tmp_path / f"part.{suffix}"
+    trimesh.creation.box((60, 30, 10)).export(path)
+    found = hinted(lambda: wr.Mesh.from_file(path, sdf_resolution=8))
+    assert len(found) == (suffix != "glb") and all("60 m long" in text and "scale=0.001" in text for text in found)
+    assert hinted(lambda: wr.Mesh.from_file(path, scale=0.001, sdf_resolution=8)) == []
+
+
+def test_meshes_of_trimesh_without_units():
+    part = trimesh.creation.box((60, 30, 10))
+    assert len(hinted(lambda: wr.Mesh.from_trimesh(part, sdf_resolution=8))) == 1
+    part.units = "m"
+    assert hinted(lambda: wr.Mesh.from_trimesh(part, sdf_resolution=8)) == []
+
+
+@pytest.mark.parametrize("name", scenes.names())
+def test_no_built_in_scene_is_doubted(name):
+    demo = scenes.get(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene = demo.build()
+    assert hints_on([scene], 1 / 60) == []
+
+
+def every_quantity():
+    scene = hinge(None)
+    for field in (wr.PointField((0, 0, 9), 1.0), wr.UniformField((0, 0, 1)), wr.DragField(0.1, (1, 0, 0))):
+        scene.add_force_field(field)
+    return wr.Simulator(scene, device="cpu")
+
+
+@pytest.mark.parametrize("name", writable())
+def test_a_nan_is_named(name):
+    sim = every_quantity()
+    shape = sim.get(name).shape
+    with pytest.raises(ValueError, match=f"^{name}: must .*got .*nan"):
+        sim.set(name, np.full(shape, np.nan) if owner_of(name) != "envs" or name == "gravity" else np.nan)
+
+
+@pytest.mark.parametrize("text", ["friction=nan", "friction=0.1,nan", "mass=nan", "friction[box_1]=nan", "dt=nan"])
+def test_a_nan_of_the_command_line_is_named(text, capsys):
+    assert cli.main(["run", "box_stack", "--set", text, "--device", "cpu"]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert text.partition("=")[0].partition("[")[0] in error and "got nan" in error and "broadcast" not in error

@@ -1,0 +1,158 @@
+"""Cameras of USD files: those of imported files, and the one of a written file."""
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+
+from warp_rigid.render.framing import camera_directions, fit_camera, place_at_body, shifted
+from warp_rigid.runs.recording import Frame, Recording
+from warp_rigid.scene.camera import NARROWEST, WIDEST, Camera, camera_of_text
+from warp_rigid.usd.geometry import MARK
+from warp_rigid.usd.prims import custom_data
+from warp_rigid.usd.specs import SampleWriter, define, set_attribute
+
+__all__ = ["CameraWriter", "place_prim", "read_camera"]
+
+NAMES = Sdf.ValueTypeNames
+APERTURE = 20.955
+"""Width of the film of a USD camera [mm]."""
+ROOM = 0.08
+"""What is in view on each side of the moving bodies, relative to the diagonal of the box around their middles."""
+ASPECT, LINES = 16.0 / 9.0, 720
+"""Shape and height of the picture that the camera is placed for."""
+STRAIGHT = 1e-3
+"""Largest sine of the angle by which the picture of an imported camera may be turned."""
+
+
+class CameraWriter:
+    """Writes the camera of a recording.
+
+    Args:
+        layer: root layer of the file.
+        path: path of the prim.
+        film: recording with the constant data.
+        row: row of the first environment that is written.
+        frame: the first frame.
+    """
+
+    def __init__(self, layer: Sdf.Layer, path: str, film: Recording, row: int, frame: Frame):
+        """Define the prim."""
+        self._camera, self._film, self._row = film.camera or Camera(), film, row
+        self._prim = define(layer, path, "Camera")
+        height = APERTURE / ASPECT
+        focal_length = 0.5 * height / math.tan(0.5 * math.radians(self._camera.field_of_view))
+        set_attribute(self._prim, "horizontalAperture", NAMES.Float, APERTURE)
+        set_attribute(self._prim, "verticalAperture", NAMES.Float, height)
+        set_attribute(self._prim, "focalLength", NAMES.Float, focal_length)
+        self._keep_text()
+        self._samples = SampleWriter(layer)
+        self._tracks = []
+        if self._camera.body is not None:
+            place_prim(self._prim, *self._followed(frame))
+            self._tracks = [self._samples.track(layer.GetAttributeAtPath(f"{path}.xformOp:transform"))]
+
+    def sample(self, time: float, frame: Frame) -> None:
+        """Move a camera that follows a body."""
+        if self._tracks:
+            matrix = _matrix(*self._followed(frame))
+            if matrix != self._tracks[0].value:
+                self._samples.put(self._tracks, time, [matrix])
+
+    def place(self, lower: np.ndarray, upper: np.ndarray, offset: np.ndarray) -> None:
+        """Place the camera, when the extent of the film is known.
+
+        Args:
+            lower: lower corner of the box that should be in view [m].
+            upper: upper corner [m].
+            offset: (3,) where the first environment stands [m].
+        """
+        camera = shifted(self._camera, offset)
+        if camera.body is not None:
+            _, reach = self._placed_at(0, self._film.position[0], self._film.orientation[0])
+            move = set_attribute(self._prim, "xformOp:translate", NAMES.Double3, Gf.Vec3d(*offset.tolist()))
+            order = Vt.TokenArray([move.name, "xformOp:transform"])
+            set_attribute(self._prim, "xformOpOrder", NAMES.TokenArray, order, uniform=True)
+        elif camera.look_at is not None and camera.distance is not None:
+            reach = camera.distance
+            place_prim(self._prim, np.array(camera.look_at) + reach * camera_directions(camera)[0], camera)
+        else:
+            room = ROOM * float(np.linalg.norm(upper - lower)) * np.array((1.0, 1.0, 0.0))
+            sides = zip(lower - room, upper + room, strict=True)
+            fitted = fit_camera(np.array(list(itertools.product(*sides))), ASPECT, LINES, camera)
+            eye = np.array(fitted.eye)
+            reach = float((0.5 * (lower + upper) - eye) @ np.array(fitted.forward))
+            place_prim(self._prim, eye, camera)
+        set_attribute(self._prim, "clippingRange", NAMES.Float2, Gf.Vec2f(0.01 * reach, 1000.0 * reach))
+
+    def _followed(self, frame: Frame) -> tuple[np.ndarray, Camera]:
+        return self._placed_at(frame.time, frame.position, frame.orientation)[0], self._camera
+
+    def _placed_at(self, time: float, position: np.ndarray, orientation: np.ndarray) -> tuple[np.ndarray, float]:
+        body = int(self._camera.body or 0)
+        vertices = self._film.surfaces[self._film.surface[body]].vertices_at(time)
+        return place_at_body(self._camera, vertices, position[self._row, body], orientation[self._row, body])
+
+    def _keep_text(self) -> None:
+        """Keep what the camera does as custom data; its prim has only the place."""
+        body = self._camera.body
+        kept: dict[str, Any] = {"camera": str(self._camera)}
+        if isinstance(body, int):
+            kept = {"camera": str(replace(self._camera, body=self._film.names[body])), "cameraBody": body}
+        self._prim.SetInfo("customData", {MARK: kept})
+
+
+def read_camera(
+    prim: Usd.Prim, matrix: np.ndarray, meter: float, middle: np.ndarray, change: Callable[[Usd.Prim, str], Any]
+) -> Camera:
+    """The camera of an imported file.
+
+    Args:
+        prim: a UsdGeom.Camera.
+        matrix: transform from the frame of the prim to that of the scene, (4, 4) [m].
+        meter: unit of length of the stage [m].
+        middle: (3,) of the bodies, to place the point that the camera looks at [m].
+        change: called with the prim and each difference.
+
+    Raises:
+        ValueError: The camera is orthographic, or its values are not those of a camera.
+    """
+    custom = custom_data(prim)
+    if "camera" in custom:
+        return camera_of_text(str(custom["camera"]))
+    if prim.GetAttribute("projection").Get() == "orthographic":
+        raise ValueError("orthographic cameras are not supported")
+    camera = UsdGeom.Camera(prim).GetCamera(Usd.TimeCode.EarliestTime())
+    if not (camera.focalLength > 0.0 and camera.verticalAperture > 0.0):
+        raise ValueError("focalLength and verticalAperture must be > 0")
+    angle = camera.GetFieldOfView(Gf.Camera.FOVVertical)
+    if not NARROWEST <= angle <= WIDEST:
+        change(prim, f"its field of view of {angle:.3g} degrees is limited to {NARROWEST:g} to {WIDEST:g} degrees")
+    axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
+    position, ahead = matrix[:3, 3], -axes[:, 2]
+    reach = camera.focusDistance * meter or float((middle - position) @ ahead)
+    made = Camera(
+        tuple(position), tuple(position + max(reach, meter) * ahead), float(np.clip(angle, NARROWEST, WIDEST))
+    )
+    if abs(axes[:, 0] @ camera_directions(made)[2]) > STRAIGHT and abs(ahead[2]) < 1.0 - 1e-6:
+        change(prim, "the picture is turned upright")
+    if UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
+        change(prim, "its animated motion is ignored; it stays at the first pose of the animation")
+    return made
+
+
+def place_prim(prim: Sdf.PrimSpec, position: np.ndarray, camera: Camera) -> None:
+    """Set the transform of a prim that looks along its own -z, as a camera at a position does."""
+    set_attribute(prim, "xformOp:transform", NAMES.Matrix4d, _matrix(position, camera))
+    set_attribute(prim, "xformOpOrder", NAMES.TokenArray, Vt.TokenArray(["xformOp:transform"]), uniform=True)
+
+
+def _matrix(position: np.ndarray, camera: Camera) -> Gf.Matrix4d:
+    back, right, up = camera_directions(camera)
+    rows = np.eye(4)
+    rows[0, :3], rows[1, :3], rows[2, :3], rows[3, :3] = right, up, back, position
+    return Gf.Matrix4d(rows)

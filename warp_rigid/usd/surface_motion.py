@@ -1,0 +1,73 @@
+"""Surfaces that run, as the attributes of PhysX for conveyor belts: read and written by name, without its schema."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from pxr import Gf, Sdf, Usd
+
+from warp_rigid.usd.specs import set_attribute
+
+__all__ = ["SURFACE_SCHEMA", "SurfaceMotion", "has_surface_motion", "read_surface_motion", "write_surface_motion"]
+
+SURFACE_SCHEMA = "PhysxSurfaceVelocityAPI"
+PREFIX = "physxSurfaceVelocity:"
+LINEAR, ANGULAR = PREFIX + "surfaceVelocity", PREFIX + "surfaceAngularVelocity"
+ENABLED, LOCAL = PREFIX + "surfaceVelocityEnabled", PREFIX + "surfaceVelocityLocalSpace"
+
+
+class SurfaceMotion(NamedTuple):
+    """Velocity (3,) [m/s] and angular velocity (3,) [rad/s] of a surface, about the origin of the frame they are in."""
+
+    linear: np.ndarray
+    angular: np.ndarray
+
+    def in_frame(self, position: np.ndarray, rotation: np.ndarray) -> "SurfaceMotion":
+        """The same motion in a frame at a position (3,) and with a rotation matrix (3, 3) in this one."""
+        return SurfaceMotion(rotation.T @ (self.linear + np.cross(self.angular, position)), rotation.T @ self.angular)
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Keywords of `Scene.add_static`; none for a surface that does not run."""
+        values = {"surface_velocity": self.linear, "surface_angular_velocity": self.angular}
+        return {name: value for name, value in values.items() if value.any()}
+
+
+def has_surface_motion(prim: Usd.Prim) -> bool:
+    """Whether the surface of a prim may run."""
+    return SURFACE_SCHEMA in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+
+
+def read_surface_motion(
+    prim: Usd.Prim, rotation: np.ndarray, stretch: np.ndarray, to_z_up: np.ndarray, meter: float
+) -> SurfaceMotion:
+    """The motion of the surface of a body, in the frame of the body.
+
+    Args:
+        prim: of the body.
+        rotation: (3, 3) of that frame in the world.
+        stretch: (3, 3) with which lengths of the prim's frame are given in that frame [m].
+        to_z_up: (3, 3) from the world of the file to that of the scene.
+        meter: length unit of the file [m].
+    """
+    if not has_surface_motion(prim) or not _value(prim, ENABLED, True):
+        return SurfaceMotion(np.zeros(3), np.zeros(3))
+    linear = np.array(_value(prim, LINEAR, (0.0, 0.0, 0.0)), np.float64)
+    angular = np.radians(np.array(_value(prim, ANGULAR, (0.0, 0.0, 0.0)), np.float64))
+    if _value(prim, LOCAL, True):
+        return SurfaceMotion(stretch @ linear, angular)
+    return SurfaceMotion(rotation.T @ to_z_up @ (meter * linear), rotation.T @ to_z_up @ angular)
+
+
+def write_surface_motion(prim: Sdf.PrimSpec, linear: np.ndarray, angular: np.ndarray) -> None:
+    """Write the velocity (3,) [m/s] and angular velocity (3,) [rad/s] of a surface, in the frame of the prim."""
+    set_attribute(prim, ENABLED, Sdf.ValueTypeNames.Bool, True)
+    set_attribute(prim, LOCAL, Sdf.ValueTypeNames.Bool, True)
+    set_attribute(prim, LINEAR, Sdf.ValueTypeNames.Vector3f, Gf.Vec3f(*map(float, linear)))
+    set_attribute(prim, ANGULAR, Sdf.ValueTypeNames.Vector3f, Gf.Vec3f(*map(float, np.degrees(angular))))
+
+
+def _value(prim: Usd.Prim, name: str, otherwise: Any) -> Any:
+    """The value of an attribute; a default where the file has none and the schema is not installed."""
+    attribute = prim.GetAttribute(name)
+    value = attribute.Get() if attribute else None
+    return otherwise if value is None else value
