@@ -491,6 +491,7 @@ Graph = layout(
     ),
     largest=Field(float, "bodies", "J", "largest summand of the numerator and denominator"),
     max_velocity_change=Field(float, "bodies", "m/s", "of an island: largest velocity change by shock propagation"),
+    bouncing_votes=Field(int, "bodies", "", "at an island's index: bodies with restitution"),
     fallen_votes=Field(int, "bodies", "", "at an island's index: bodies that were in free flight at some time"),
     island_mass=Field(float, "bodies", "kg", "at an island's index: largest mass of a body"),
     island_inverse_mass=Field(float, "bodies", "1/kg", "at an island's index: largest inverse mass of a body"),

@@ -6,9 +6,9 @@ lowest body, in whatever order the threads run.
 
 In environments of many bodies, islands are solved in rounds (rounds.py). Those of other environments, and those for
 which rounds converge slowly, are solved in sweeps, with shock propagation where it is effective (shock.py): islands
-with joints, with masses that differ much, with a body in very many pairs, and with bodies in a row that pass impacts
-on one by one. Islands merge and split, so each body stores for how many steps shock propagation has been ineffective
-for its island, and the majority of the bodies decides.
+with joints, with masses that differ much, with a body in very many pairs, and bouncing ones. Islands merge and split,
+so each body stores for how many steps shock propagation has been ineffective for its island, and the majority of the
+bodies decides.
 
 An island is a pile if most of its bodies have fallen there, and a structure if they were placed where they are. The
 impulses of a pile converge over several steps. Those of a structure must balance its load in each step.
@@ -49,7 +49,7 @@ ROUNDS_OF_STRUCTURE, ROUNDS_OF_STRUCTURE_PER_BODY = wp.constant(20.0), wp.consta
 2000 rounds in its first step, and a few in later ones."""
 
 HARDLY = wp.constant(0.05)
-"""Largest speed of a body in a pile that hardly moves, in sizes of the body per second."""
+"""Largest speed of a body in an island that hardly moves, in sizes of the body per second."""
 
 SETTLED = wp.constant(1.0e-5)
 """Rounds end when no contact changes the velocity of a body in a pile by more than this [m/s]."""
@@ -119,6 +119,7 @@ def start_islands(bodies: Bodies, graph: Graph):
     graph.heap_votes[b] = 0
     graph.heap_steps[b] = 0
     graph.fallen_votes[b] = 0
+    graph.bouncing_votes[b] = 0
     graph.island_size[b] = 0.0
     graph.island_low[b] = LOWEST
     graph.island_high[b] = LOWEST
@@ -170,8 +171,8 @@ def vote(shapes: Shapes, bodies: Bodies, envs: Environments, state: State, graph
     raise_to(island, -depth, graph.island_high)
     raise_to(island, bodies.mass[b], graph.island_mass)
     raise_to(island, bodies.inverse_mass[b], graph.island_inverse_mass)
-    chained = bodies.restitution[b] > 0.0 and state.fallen[b] == 0
-    if graph.tied[b] == 1 or graph.touching[b] > MOST_PAIRS or chained:
+    add_together(graph.bouncing_votes, island, wp.where(bodies.restitution[b] > 0.0, 1, 0))
+    if graph.tied[b] == 1 or graph.touching[b] > MOST_PAIRS:
         graph.needs_sweeps[island] = 1
 
 
@@ -190,16 +191,25 @@ def ineffective_steps(island: int, graph: Graph):
 
 
 @wp.func
+def bounces(island: int, graph: Graph):
+    """Whether most bodies of an island have restitution and they move: impacts are then solved one after another."""
+    return 2 * graph.bouncing_votes[island] > graph.island_bodies[island] and graph.island_speed[island] > HARDLY
+
+
+@wp.func
+def rounds_converge(island: int, graph: Graph):
+    """Whether rounds converge for an island, and solve its impacts."""
+    if graph.needs_sweeps[island] == 1 or mass_ratio(island, graph) > COMPARABLE:
+        return False
+    return not bounces(island, graph)
+
+
+@wp.func
 def solver_of(steps: int, island: int, mode: int, crowded: bool, graph: Graph):
     """The IslandSolver of an island after a number of ineffective steps."""
     if mode == ShockMode.OFF:
         return int(IslandSolver.SWEEPS)
-    if (
-        mode == ShockMode.TWO_PASS
-        and crowded
-        and graph.needs_sweeps[island] == 0
-        and mass_ratio(island, graph) <= COMPARABLE
-    ):
+    if mode == ShockMode.TWO_PASS and crowded and rounds_converge(island, graph):
         return int(IslandSolver.ROUNDS)
     if mode == ShockMode.ONE_PASS or steps < PATIENCE or steps % PATIENCE == 0:
         return int(IslandSolver.SHOCK)
