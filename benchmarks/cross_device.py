@@ -17,10 +17,10 @@ import numpy as np
 import warp as wp
 
 import warp_rigid as wr
-from warp_rigid.commands.terminal import start_warp
 from warp_rigid.scenes.builders import stacks
 from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.validation import report
+from warp_rigid.warp_start import start_warp
 
 LIMIT = 1e-4
 """Largest difference of a position that passes [m]."""

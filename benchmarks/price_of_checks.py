@@ -13,11 +13,11 @@ from collections.abc import Iterator
 import warp as wp
 
 import warp_rigid as wr
-from warp_rigid.commands.terminal import start_warp
 from warp_rigid.engine import health_checks
 from warp_rigid.engine.shard import Shard
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels.update import integrate
+from warp_rigid.warp_start import start_warp
 
 CASES = {"256 x 10, towers": (256, 64), "1 x 10, a tower": (1, 2048)}
 """Environments of box_stack, and steps of a measurement."""

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 import warp_rigid as wr
-from warp_rigid.commands.terminal import start_warp
 from warp_rigid.scenes.builders import grounds, piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import indices
+from warp_rigid.warp_start import start_warp
 
 WARM = 0.1
 """Fraction of the rounds that fill caches and pools; growth of memory is measured after it."""
