@@ -379,17 +379,21 @@ class Stages:
     def levels(self) -> np.ndarray:
         """Level of each body in the contact graph of the last step, (bodies,).
 
-        The step needs no levels of heaps, so they are found here, in arrays of their own.
+        The step needs no levels of islands that are solved in rounds. Those of their environments are found here, in
+        arrays of their own.
         """
-        graph = self.pools.graph
-        if not (graph.solver.numpy() == IslandSolver.ROUNDS).any():
-            return graph.level.numpy()
+        graph, level = self.pools.graph, self.pools.graph.level.numpy()
+        in_rounds = graph.solver.numpy() == IslandSolver.ROUNDS
+        if not in_rounds.any():
+            return level
+        env = self.model.bodies.env.numpy()
+        chosen = np.bincount(env[in_rounds], minlength=self.num_envs) > 0
         found = declare.allocate(schema.Graph, self.pools.sizes, self.device)
         found.supports = graph.supports
-        found.swept.fill_(1)
+        found.swept.assign(chosen.astype(np.int32))
         inputs = [self.lanes, self.envs, self.model.bodies, self.pools.constraints]
         self._per_team(support.find_structure, inputs, [found])
-        return np.where(self.sleep_state.asleep.numpy() == 1, graph.level.numpy(), found.level.numpy())
+        return np.where(chosen[env] & (self.sleep_state.asleep.numpy() == 0), found.level.numpy(), level)
 
     def deepest_overlap(self, deepest: Any) -> None:
         """Find the deepest overlap of each environment in the current state: an array (envs, 1) of floats [m].
