@@ -7,6 +7,7 @@ import warp as wp
 from warp_rigid.engine.loading import everything, load_kernels
 from warp_rigid.engine.teams import sizes_of_teams
 from warp_rigid.render import raycast
+from warp_rigid.warp_start import start_warp
 
 
 def main(devices):
@@ -18,4 +19,5 @@ def main(devices):
 
 
 if __name__ == "__main__":
+    start_warp()
     main([wp.get_device(name) for name in sys.argv[1:]] or wp.get_devices())

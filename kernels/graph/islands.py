@@ -48,6 +48,10 @@ ROUNDS_OF_STRUCTURE, ROUNDS_OF_STRUCTURE_PER_BODY = wp.constant(20.0), wp.consta
 """The same for structures that were placed where they are, and for piles that hardly move. A pyramid of 100 rows needs
 2000 rounds in its first step, and a few in later ones."""
 
+ROUNDS_AT_REST = wp.constant(100.0)
+"""The constant part for structures that hardly move. A tower of 400 flat bricks, whose layers are lower than its bodies
+are long, needs 800 rounds in its first step; if it does not get them, it needs as many as it gets in each step."""
+
 HARDLY = wp.constant(0.05)
 """Largest speed of a body in an island that hardly moves, in sizes of the body per second."""
 
@@ -232,9 +236,11 @@ def height_of(island: int, graph: Graph):
 def most_rounds(island: int, iterations: int, graph: Graph):
     """Maximum number of rounds for an island."""
     path = wp.max(wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0), height_of(island, graph))
-    if is_pile(island, graph) and graph.island_speed[island] > HARDLY:
+    moves = graph.island_speed[island] > HARDLY
+    if is_pile(island, graph) and moves:
         return int(float(iterations) * (ROUNDS + ROUNDS_PER_BODY * path))
-    return int(float(iterations) * (ROUNDS_OF_STRUCTURE + ROUNDS_OF_STRUCTURE_PER_BODY * path))
+    least = wp.where(is_pile(island, graph) or moves, ROUNDS_OF_STRUCTURE, ROUNDS_AT_REST)
+    return int(float(iterations) * (least + ROUNDS_OF_STRUCTURE_PER_BODY * path))
 
 
 @wp.func

@@ -21,6 +21,7 @@ from warp_rigid.kernels.solve import (
     line_search,
     push_out,
     push_rounds,
+    rest,
     restitution,
     rounds,
     shock,
@@ -33,8 +34,8 @@ TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search
 NAMES_OF_TEAM_MODULES = [module.__name__ for module in TEAM_MODULES]
 """Names of the modules that are compiled separately for each size of a team."""
 
-HEAPS = (rounds, push_rounds, impact_rounds)
-"""Kernel modules for heaps, which exist in environments of many bodies only."""
+HEAPS = (rounds, push_rounds, impact_rounds, rest)
+"""Kernel modules for rounds, which exist in environments of many bodies only."""
 
 STEP = (
     narrowphase,

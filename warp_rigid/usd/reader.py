@@ -26,9 +26,9 @@ from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, 
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
+from warp_rigid.usd.preview_surface import read_look
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
-from warp_rigid.usd.surfaces import read_look
 
 __all__ = ["Reader"]
 
