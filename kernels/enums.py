@@ -80,6 +80,8 @@ class WarningKind(IntEnum):
     """A position that single precision resolves too coarsely for the size of the body."""
     LOAD = 3
     """A contact force that is too large for the mass of the body."""
+    RESIDUAL = 4
+    """Velocities that the solver has not solved."""
 
 
 class OutOfBounds(IntEnum):

@@ -21,6 +21,7 @@ from warp_rigid.kernels.declare import (
     layout,
     packed_record,
 )
+from warp_rigid.kernels.enums import WarningKind
 from warp_rigid.kernels.shape_arrays import ClusterRecord as ClusterRecord
 from warp_rigid.kernels.shape_arrays import PartRecord as PartRecord
 from warp_rigid.kernels.shape_arrays import SampleRecord as SampleRecord
@@ -29,6 +30,8 @@ from warp_rigid.kernels.shape_arrays import Shapes as Shapes
 from warp_rigid.kernels.shape_arrays import TreeRecord as TreeRecord
 from warp_rigid.kernels.shape_arrays import TriangleRecord as TriangleRecord
 from warp_rigid.kernels.symbols import SYMBOLS as SYMBOLS
+
+BY_WARNING = wp.types.vector(length=len(WarningKind), dtype=wp.int32)
 
 COLORS = 32
 """Maximum number of colours of the constraints; those of the last colour are solved serially."""
@@ -235,8 +238,9 @@ Environments = layout(
     stuck=Field(int, "envs", "", "rank of the first body whose overlap does not shrink; 0 outside a health check"),
     coarse=Field(int, "envs", "", "the same for a body whose position is coarse"),
     overloaded=Field(int, "envs", "", "the same for a body with a load that is too heavy"),
-    warned_step=Field(wp.vec4i, "envs", "", "for each WarningKind the step of the first warning, 0 if there is none"),
-    warned_body=Field(wp.vec4i, "envs", "", "bodies of these warnings"),
+    unsolved=Remembered(int, "envs", "", "number of the last checks that found a large residual"),
+    warned_step=Field(BY_WARNING, "envs", "", "for each WarningKind the step of the first warning, 0 if there is none"),
+    warned_body=Field(BY_WARNING, "envs", "", "bodies of these warnings"),
     step=Field(int, "envs", "", "number of completed steps"),
 )
 

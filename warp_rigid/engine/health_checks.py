@@ -52,9 +52,10 @@ def check(stages: Stages) -> None:
     joints = stages.joints.arrays
     drives = [model.bodies, joints]
     wp.launch(health.check_drives, dim=joints.broken.shape[0], inputs=drives, outputs=[stages.envs], device=device)
-    inputs = [model.shapes, model.bodies, stages.motions]
-    for kernel, dim in ((health.check_bodies, stages.rows), (health.check_environments, stages.num_envs)):
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=[stages.state, stages.envs], device=device)
+    inputs, outputs = [model.shapes, model.bodies, stages.motions], [stages.state, stages.envs]
+    wp.launch(health.check_bodies, dim=stages.rows, inputs=inputs, outputs=outputs, device=device)
+    inputs = [stages.dt, *inputs, pools.graph]
+    wp.launch(health.check_environments, dim=stages.num_envs, inputs=inputs, outputs=outputs, device=device)
 
 
 def warning_records(envs: Any, dt: float) -> np.ndarray:

@@ -401,6 +401,10 @@ class Simulator:
           smallest extent, because it is far from the origin.
         - "load": the force of another body on a body is more than 100 000 times its weight, as under a body that is so
           much heavier. The error of the force then exceeds what the body weighs, and it can be squeezed out.
+        - "residual": the last sweep or round of the solver changed a velocity by more than 10 % of what gravity adds to
+          it in a step, in three checks in a row. An example is a light tray that slides under many boxes. The body is
+          the fastest one in contact. Piles of fallen bodies are not checked: their impulses converge over several
+          steps.
         """
         return step_reports.warnings(self._world)
 

@@ -9,6 +9,7 @@ from warp_rigid.validation.case import (
     OUTCOME,
     Check,
     Curve,
+    Miss,
     ValidationCase,
     absolute,
     at_most,
@@ -35,6 +36,7 @@ def cases(quick: bool) -> list[ValidationCase]:
         incline_grid(),
         stopping_distance(),
         painleve(),
+        trays(),
     ]
 
 
@@ -354,4 +356,52 @@ def painleve():
         measured("largest speed", "m/s or rad/s", lambda t: t.speed.max(axis=0), at_most(0.0), 20.0),
         of=Experiment(scene, 0.1, tuple(f"mu {mu:g}" for mu in friction), (per_env("friction", friction),)),
         curve=Curve("speed of the tip", "m/s", tip_speed),
+    )
+
+
+LIGHT_TRAY = "load passes through the tray in more sweeps than contact_iterations allows"
+
+
+def tray_of_boxes(side: int, mass: float, speed: float = 1.0) -> Scene:
+    """Boxes of 1 kg on a tray, side by side; tray and boxes start with a speed along x [m/s].
+
+    Args:
+        side: number of boxes along each edge of the tray.
+        mass: of the tray [kg].
+        speed: at the start [m/s].
+    """
+    half, pitch, thickness = 0.05, 0.12, 0.02
+    scene = level_scene(friction=0.5)
+    start = {"linear_velocity": (speed, 0, 0), "friction": 0.5}
+    edge = 0.5 * pitch * side + 0.02
+    scene.add_body(Box((edge, edge, thickness)), position=(0, 0, thickness), mass=mass, **start)
+    for x, y in pitch * (np.mgrid[:side, :side].reshape(2, -1).T - 0.5 * (side - 1)):
+        scene.add_body(Box((half,) * 3), position=(x, y, 2 * thickness + half), mass=1.0, **start)
+    return scene
+
+
+def trays():
+    """A tray and the boxes on it slide as one body: all decelerate by mu g."""
+    speed, dt = 1.0, 1.0 / 240.0
+    solved = {"9 boxes": (3, 1.0), "25 boxes": (5, 1.0), "9 boxes, 0.1 kg": (3, 0.1), "25 boxes, 10 kg": (5, 10.0)}
+    unsolved = {"25 boxes, 0.1 kg": (5, 0.1), "144 boxes": (12, 1.0)}
+
+    def shortest(trace):
+        return (trace.position[-1, :, 1:, 0] - trace.position[0, :, 1:, 0]).min(1)
+
+    def check(rows, miss=None):
+        # Velocities change before positions do, so that the first step is shorter by mu g dt^2.
+        way = speed**2 / (2 * 0.5 * G) - 0.5 * speed * dt
+        return measured("shortest way of a body", "m", shortest, relative(0.01), way, rows=rows, miss=miss)
+
+    return case(
+        "V109",
+        "tray of boxes that slides, mu 0.5",
+        COULOMB,
+        check(slice(0, len(solved))),
+        check(slice(len(solved), None), Miss(LIGHT_TRAY, 0.6)),
+        of=tuple(
+            Experiment(lambda options=options: tray_of_boxes(*options), duration=0.4, dt=dt, label=label)
+            for label, options in (solved | unsolved).items()
+        ),
     )
