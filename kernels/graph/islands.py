@@ -62,6 +62,10 @@ BALANCED = wp.constant(4.0e-7)
 """The same for a structure, as a fraction of the velocity that gravity adds in a step to all bodies that are stacked in
 it. Rounding errors were half as large in pyramids of 50 and 100 rows. Larger errors of the load deform a structure."""
 
+ROUNDED = wp.constant(1.0e-6)
+"""The same for a structure that moves, as a fraction of its largest speed: rounding errors of velocities are half as
+large where 25 boxes slide on a tray."""
+
 LOWEST_STRUCTURE = wp.constant(4.0)
 """Least number of stacked bodies that counts for this purpose."""
 
@@ -248,7 +252,8 @@ def tolerance_of(island: int, gained: float, graph: Graph):
     """Change of a velocity with which the rounds of an island end; gravity adds `gained` in a step [m/s]."""
     if is_pile(island, graph):
         return float(SETTLED)
-    return BALANCED * gained * wp.max(height_of(island, graph), LOWEST_STRUCTURE)
+    speed = graph.island_speed[island] * graph.island_size[island]
+    return wp.max(BALANCED * gained * wp.max(height_of(island, graph), LOWEST_STRUCTURE), ROUNDED * speed)
 
 
 @wp.func

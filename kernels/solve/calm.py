@@ -18,7 +18,7 @@ from warp_rigid.kernels.common.solver_body import START, VELOCITY, inverse_mass_
 from warp_rigid.kernels.common.team import Team, any_of_team, raise_to, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import extrapolate_row, store_start
 from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.graph.islands import MOST_CALM
+from warp_rigid.kernels.graph.islands import MOST_CALM, MOST_IN_MOTION
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import SWEEPS, solve_constraint
 from warp_rigid.kernels.solve.rounds import momentum
@@ -32,9 +32,9 @@ STILL = wp.constant(1.0e-5)
 MOST_MOMENTUM = wp.constant(0.98)
 """Maximum momentum. With 0.9, an arch of 45 stones needs more sweeps than it gets; with 1, it does not converge."""
 
-RISE = wp.constant(4.0)
-"""Momentum starts again where a row changes a velocity by more than this multiple of the change that all have reached:
-where bodies slide together, such as boxes on a tray, it would diverge. With 2, an arch of 27 stones sinks."""
+DIVERGED = wp.constant(10.0)
+"""Momentum has diverged in an island at rest once a row changes a velocity by more than this multiple of the change
+before the first sweep, or of what gravity adds in the step. With 1, an arch of 27 stones falls."""
 
 UNLIMITED = wp.constant(2**30)
 """Sweeps over a constraint of a body that is not dynamic, as far as this body is concerned."""
@@ -98,9 +98,28 @@ def sweep_calm(turn: int, team: Team, order: Order, graph: Graph, motions: Motio
 
 
 @wp.func
+def sweeps_without_momentum(change: float, start: float, gained: float, most: int, moving: int, team: Team):
+    """Momentum has diverged in the islands that have at most so many sweeps: those that move, or all.
+
+    In boxes that slide with their tray, it diverges once a row changes a velocity by more than before the first sweep
+    (`start`). In islands at rest, such changes are still reduced unless they exceed those by gravity (`gained`), too.
+    """
+    if any_of_team(wp.where(change > start, 1, 0), team) == 0:
+        return 0
+    limit = DIVERGED * wp.max(start, gained)
+    return wp.where(any_of_team(wp.where(change > limit, 1, 0), team) == 1, most, moving)
+
+
+@wp.func
+def momentum_of(turn: int, limit: int, least: int):
+    """Momentum after a sweep over an island that has at most `limit` of them; 0 if it has at most `least`."""
+    return wp.where(limit > least, momentum(turn, limit, MOST_MOMENTUM), 0.0)
+
+
+@wp.func
 def extrapolate(
     turn: int,
-    restarted: int,
+    least: int,
     team: Team,
     envs: Environments,
     order: Order,
@@ -108,11 +127,11 @@ def extrapolate(
     motions: Motions,
     contacts: Contacts,
 ):
-    """Extrapolate velocities and impulses from their change since the sweep before; momentum starts at `restarted`."""
+    """Extrapolate velocities and impulses from their change since the sweep before."""
     env = team.env
     for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
         if inverse_mass_of(b, motions) > 0.0 and turn <= graph.further_sweeps[b]:
-            beta = momentum(turn - restarted, graph.further_sweeps[b] - restarted, MOST_MOMENTUM)
+            beta = momentum_of(turn, graph.further_sweeps[b], least)
             linear = load_velocity(b, VELOCITY, motions)
             angular = load_velocity(b, VELOCITY + 1, motions)
             motions.solver_bodies[b].linear = linear + beta * (linear - load_velocity(b, START, motions))
@@ -123,13 +142,13 @@ def extrapolate(
         limit = limit_of(entry, motions, graph)
         if turn <= limit:
             for c in range(entry.begin, entry.end):
-                extrapolate_row(c, momentum(turn - restarted, limit - restarted, MOST_MOMENTUM), contacts)
+                extrapolate_row(c, momentum_of(turn, limit, least), contacts)
     sync_team(team)
 
 
 @wp.kernel(module=SWEEPS)
 def sweep_calm_islands(
-    lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+    dt: float, lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """One team per environment: sweep over the calm islands that have not converged.
 
@@ -143,15 +162,18 @@ def sweep_calm_islands(
         return
     others = any_other(team, order, graph, motions, contacts)
     most = MOST_CALM * envs.contact_iterations[env]
-    goal = float(graph.residual[env])
+    start = float(graph.residual[env])
+    goal = float(start)
+    least = int(0)
+    gained = dt * wp.length(envs.gravity[env])
+    moving = MOST_IN_MOTION * envs.contact_iterations[env]
     sync_team(team)
     if team.lane == 0:
-        graph.residual[env] = float(others) * goal
+        graph.residual[env] = float(others) * start
     sync_team(team)
     change = float(0.0)
     turn = int(0)
     halved = int(0)
-    restarted = int(0)
     unsolved = int(1)
     while unsolved == 1 and turn < most and 2 * (turn - halved) < most:
         turn += 1
@@ -160,10 +182,9 @@ def sweep_calm_islands(
         if any_of_team(wp.where(change > goal, 1, 0), team) == 0:
             goal *= 0.5
             halved = turn
-        elif any_of_team(wp.where(change > RISE * goal, 1, 0), team) == 1:
-            restarted = turn - 1
+        least = wp.max(least, sweeps_without_momentum(change, start, gained, most, moving, team))
         if unsolved == 1 and turn < most:
-            extrapolate(turn, restarted, team, envs, order, graph, motions, contacts)
+            extrapolate(turn, least, team, envs, order, graph, motions, contacts)
     if team.lane == 0:
         graph.sweeps[env] += turn
     raise_to(env, change, graph.residual)

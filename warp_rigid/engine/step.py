@@ -281,7 +281,7 @@ class Stages:
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
-        self._color_by_color(calm.sweep_calm_islands)
+        self._color_by_color(calm.sweep_calm_islands, [self.dt])
         if self.crowded:
             self.heaps.solve()
         found = [self.dt, self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
