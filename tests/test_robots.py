@@ -236,3 +236,43 @@ def test_a_package_that_is_not_found_is_reported(robots, tmp_path):
     with pytest.warns(UserWarning, match="left out, see scene.import_report"):
         scene = wr.import_robot(tmp_path / "arm.urdf")
     assert any("my_arm" in finding.reason for finding in scene.import_report.findings)
+
+
+FEATURES = {
+    "robot.xml": """<mujoco><include file="more.xml"/><worldbody>
+<body name="a"><joint name="j1" axis="0 1 0"/><geom size="0.1"/><site name="s1"/>
+<body name="b" pos="0 0 -1"><joint name="j2" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody>
+<tendon><fixed name="coupling"><joint joint="j1" coef="1"/><joint joint="j2" coef="-1"/></fixed></tendon>
+<equality><joint name="gear" joint1="j1" joint2="j2"/><joint joint1="j2"/><connect name="pin" body1="b" anchor="0 0 0"/>
+</equality><actuator><motor name="motor" joint="j1"/><position name="servo" joint="j2" kp="10"/></actuator></mujoco>""",
+    "robot.urdf": """<robot name="m"><link name="base"/><link name="l1"/><link name="l2"/>
+<joint name="j1" type="continuous"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/></joint>
+<joint name="j2" type="continuous"><parent link="base"/><child link="l2"/><axis xyz="0 1 0"/><mimic joint="j1"/></joint>
+<transmission name="t1"><joint name="j1"/></transmission>
+<gazebo reference="l1"><sensor name="lidar" type="ray"/></gazebo></robot>""".replace(
+        "/><link",
+        "><inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial></link><link",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        (
+            "robot.xml",
+            {"motors": "motor", "tendons": "coupling", "equality constraints": "gear, joint (j2)", "sensors": "imu"},
+        ),
+        ("robot.urdf", {"mimic joints": "j2", "transmissions": "t1", "sensors": "lidar"}),
+    ],
+)
+def test_what_is_not_simulated_is_named(robots, tmp_path, name, expected):
+    """One warning for each kind; a servo and a point constraint are simulated, and an included file counts."""
+    (tmp_path / name).write_text(FEATURES[name])
+    (tmp_path / "more.xml").write_text('<mujoco><sensor><gyro name="imu" site="s1"/></sensor></mujoco>')
+    with pytest.warns(UserWarning) as caught:
+        scene = wr.import_robot(tmp_path / name)
+    told = [str(warning.message).partition(": not simulated: ")[2] for warning in caught]
+    assert dict(line.split(": ") for line in told if line) == expected
+    reasons = [finding.reason for finding in scene.import_report.left_out if finding.path == name]
+    assert set(reasons) >= {f"{kind}: {names}" for kind, names in expected.items()}

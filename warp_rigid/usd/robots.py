@@ -20,6 +20,7 @@ from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd import limited
 from warp_rigid.usd.load import import_usd
+from warp_rigid.usd.robot_features import name_left_out
 
 __all__ = ["ROBOT_SUFFIXES", "import_robot"]
 
@@ -50,8 +51,10 @@ def import_robot(
 
     The file is converted to USD by `mujoco_usd_converter` or `urdf_usd_converter`, which must be on the search path or
     beside the Python interpreter, and read by `import_usd`. What neither supports is listed in `scene.import_report`,
-    with a warning. The package of an address `package://my_robot/meshes/arm.stl` is the folder `my_robot` that contains
-    the file, or that lies in a folder around it, or in a folder of the environment variable ROS_PACKAGE_PATH.
+    with a warning; motors, tendons, equality constraints, mimic joints, transmissions and sensors by their names, with
+    a warning for each of these kinds. The package of an address `package://my_robot/meshes/arm.stl` is the folder
+    `my_robot` that contains the file, or that lies in a folder around it, or in a folder of the environment variable
+    ROS_PACKAGE_PATH.
 
     Args:
         path: .xml or .mjcf (MJCF), or .urdf.
@@ -85,13 +88,16 @@ def import_robot(
         findings.append(ImportFinding(path.name, "changed", "bodies of the same mechanism do not collide"))
     report = scene.import_report
     assert report is not None
-    report = replace(report, file=str(path), findings=(*findings, *report.findings), files=(str(path),))
+    named = name_left_out(path, report.findings)
+    report = replace(report, file=str(path), findings=(*findings, *named, *report.findings), files=(str(path),))
     scene.import_report = report
     if strict and report.findings:
         raise ValueError(f"{path}: {report.findings[0]} (and {len(report.findings) - 1} more)")
     if report.left_out:
         text = f"{len(report.left_out)} left out, see scene.import_report; first: {report.left_out[0]}"
         warnings.warn(f"{path}: {text}", stacklevel=2)
+    for finding in named:
+        warnings.warn(f"{path}: not simulated: {finding.reason}", stacklevel=2)
     return scene
 
 
