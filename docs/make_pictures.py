@@ -1,7 +1,7 @@
 """Make docs/pictures: run the commands and programs of the documentation that write pictures, and reduce the pictures.
 
-A command or program that writes `out/NAME.png` makes the picture that is shown as `pictures/NAME.png`, and one that writes
-`out/NAME.gif` the film that is shown as `pictures/NAME.webp`, which is several times smaller than a GIF of this quality.
+A command or program that writes `out/NAME.png` makes the picture that is shown as `pictures/NAME.png`, and one that
+writes `out/NAME.gif` the film that is shown as `pictures/NAME.webp`, several times smaller than a GIF of its quality.
 Run it from the top of the repository: `.venv/bin/python docs/make_pictures.py [NAME ...]`. Without names it makes all.
 """
 
@@ -63,7 +63,7 @@ def shrink_film(source: Path, target: Path) -> None:
     # The last frame of the film is kept.
     first, *others = frames[(len(frames) - 1) % FILM_STRIDE :: FILM_STRIDE]
     durations = [duration] * len(others) + [PAUSE]
-    first.save(target, save_all=True, append_images=others, duration=durations, loop=0, quality=FILM_QUALITY, method=6)
+    first.save(target, save_all=True, append_images=others, duration=durations, loop=0, quality=FILM_QUALITY)
 
 
 def main(names: list[str]) -> None:

@@ -35,8 +35,7 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     tilt = (0.0, math.sin(0.5 * slope), 0.0, math.cos(0.5 * slope))
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     scene = Scene()
-    downhill = 0.62 * np.array([math.cos(slope), 0.0, -math.sin(slope)])
-    scene.camera = Camera.orbit(-105.0, 18.0, look_at=downhill, distance=3.4)
+    scene.camera = Camera.orbit(-110.0, 24.0)
     grounds.add_ground(scene, GROUND, name="ground")
     scene.add_static(
         Box(PLATFORM_HALF),

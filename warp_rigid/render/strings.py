@@ -25,7 +25,8 @@ COLOR = (0.08, 0.08, 0.09)
 def with_strings(film: Film, recording: Recording) -> Film:
     """Add the strings of all environments to a film of a recording: distance joints that have a maximum.
 
-    Only the scene of the recording is used: the poses may have been written to a file instead, and are those of the film.
+    Only the scene of the recording is used: the poses are those of the film, as they may have
+    been written to a file instead.
 
     A recording that was read from a file has no scene; its film stays as it is.
     """
