@@ -41,7 +41,7 @@ def build(droop: float = 0.075, tilt: float = 10.0) -> Scene:
     droop = number_in("droop", droop, -0.05, 0.09)
     half = 0.5 * math.radians(number_in("tilt", tilt, 0.0, 20.0))
     scene = grounds.level_scene(name="ground", friction=FRICTION)
-    scene.camera = Camera.orbit(-40.0, 14.0)
+    scene.camera = Camera.orbit(-40.0, 12.0, look_at=(0, 0, 0.85 * TOP), distance=0.75)
     foot, top = PEDESTAL_RADII
     pedestal = Mesh(*tessellation.revolve([foot, top], [0.0, 0.0, TOP, TOP], 48))
     scene.add_static(pedestal, name="pedestal", friction=FRICTION)

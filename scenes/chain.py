@@ -1,6 +1,7 @@
 """A chain of a hundred links carries a ball a thousand times heavier than a link."""
 
 from warp_rigid.checks import number_in, whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Capsule, Sphere
@@ -22,7 +23,7 @@ def build(links: int = 100, ratio: float = 1000.0, speed: float = 1.0) -> Scene:
     links = whole_in("links", links, 1, 200)
     ratio = number_in("ratio", ratio, 0.1, 10_000.0)
     speed = number_in("speed", speed, 0.0, 5.0)
-    scene = Scene()
+    scene = Scene(camera=Camera.orbit(-75.0, -10.0, look_at=(0, 0, 0.5 - LENGTH * links), distance=3.6))
     above = None
     for k in range(links):
         share = (k + 0.5) / links

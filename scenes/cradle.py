@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import DistanceJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Sphere
@@ -23,7 +24,7 @@ def build(angle: float = 0.5) -> Scene:
         angle: of the first ball's strings [rad], 0.1 to 1.
     """
     angle = number_in("angle", angle, 0.1, 1.0)
-    scene = Scene(gravity=(0, 0, -GRAVITY))
+    scene = Scene(gravity=(0, 0, -GRAVITY), camera=Camera.orbit(-80.0, 14.0))
     for k in range(5):
         lean = angle if k == 0 else 0.0
         x = 2.0 * RADIUS * k

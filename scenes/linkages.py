@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.rotations import rotate
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import PrismaticJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
@@ -33,7 +34,7 @@ def build(speed: float = 2.0) -> Scene:
         speed: of the cranks [rad/s], 0.1 to 5.
     """
     speed = number_in("speed", speed, 0.1, 5.0)
-    scene = Scene(gravity=(0, 0, 0))
+    scene = Scene(gravity=(0, 0, 0), camera=Camera.orbit(0.0, 60.0))
     a, d = np.zeros(2), np.array([BASE, 0.0])
     b = CRANK * np.array([math.cos(1.0), math.sin(1.0)])
     c = third_corner(b, d, COUPLER, ROCKER)

@@ -12,6 +12,7 @@ import warp as wp
 import warp_rigid
 from tests.pages import DOCS, ROOT, arguments_of, blocks, close_viewers_at_once, commands, write_scene_files
 from tests.robot_tools import robot_files
+from warp_rigid import scenes
 from warp_rigid.commands import cli
 from warp_rigid.engine import hash_grid, heaps, step
 from warp_rigid.engine.step import Stages
@@ -23,7 +24,8 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MEASURES = {("overlap", "deepest_overlap")}
 """Kernels that are no part of a step."""
 
-MOST_BYTES = {".png": 120_000, ".gif": 1_500_000}
+MOST_BYTES = {".png": 120_000, ".webp": 500_000}
+MOST_BYTES_OF_ALL = 9_000_000
 
 
 OTHERS = [page for page in PAGES if page.parent.name != "sweeps"]
@@ -101,10 +103,18 @@ def test_files_named_in_the_pages_on_the_code_exist():
 
 
 def test_pictures_are_small_and_made_by_a_command_or_program():
-    for picture in (DOCS / "pictures").iterdir():
-        assert any(f"out/{picture.name}" in maker for maker in OWN_COMMANDS + PROGRAMS), picture.name
+    pictures = list((DOCS / "pictures").iterdir())
+    assert sum(picture.stat().st_size for picture in pictures) <= MOST_BYTES_OF_ALL
+    for picture in pictures:
+        written = picture.name.replace(".webp", ".gif")
+        assert any(f"out/{written}" in maker for maker in OWN_COMMANDS + PROGRAMS), picture.name
         assert any(f"pictures/{picture.name})" in page.read_text() for page in PAGES), picture.name
         assert picture.stat().st_size <= MOST_BYTES[picture.suffix], picture.name
+
+
+def test_gallery_shows_every_scene_once():
+    run = [arguments_of(command)[:2] for command in commands([DOCS / "gallery.md"])]
+    assert sorted(run) == sorted(["run", name] for name in scenes.names())
 
 
 def test_cases_that_prove_promises_exist():

@@ -2,8 +2,10 @@
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 import warp_rigid as wr
+from warp_rigid.commands import cli
 from warp_rigid.render.film import colored, film_from_recording
 from warp_rigid.render.strings import SIDES, THICKNESS, with_strings
 
@@ -73,3 +75,15 @@ def test_a_scene_without_strings_is_not_changed():
     found = wr.record(wr.Simulator(scene, device="cpu"), frames=1)
     film = film_from_recording(found)
     assert with_strings(film, found) is film
+
+
+def test_strings_are_drawn_when_the_poses_are_written_to_a_file(tmp_path):
+    """The frames are then streamed to the file, and none of them is recorded."""
+    film = tmp_path / "cradle.usdc"
+    pictures = {}
+    for options in ([], ["-o", str(film)]):
+        picture = tmp_path / f"{len(options)}.png"
+        run = ["run", "cradle", "--frames", "2", "--device", "cpu", "--picture", str(picture)]
+        assert cli.main([*run, *options]) == 0
+        pictures[len(options)] = np.asarray(Image.open(picture).convert("RGB")).astype(int)
+    assert np.mean(np.abs(pictures[0] - pictures[2]).max(axis=2) > 8) < 0.01

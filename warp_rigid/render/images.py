@@ -19,6 +19,8 @@ Progress = Callable[[int, int], object] | None
 PICTURE_SIZE = (1280, 720)
 """Default width and height of pictures and MP4 films, all panels together [pixel]."""
 GIF_SIZE = (640, 360)
+SMALLEST_PANEL = 320
+"""Least default width of a panel [pixel], so that bodies and labels of comparisons are recognizable."""
 SHEET_SIZE = (480, 270)
 """Width and height of a picture in a contact sheet [pixel]."""
 
@@ -88,7 +90,7 @@ def save_film(film: Film, path, width: int | None = None, height: int | None = N
     Args:
         film: the film.
         path: output file; the suffix selects the format; missing folders are created.
-        width: width of a panel [pixel]; None for 1280 pixels in all, or 640 for .gif.
+        width: width of a panel [pixel]; None for 1280 pixels in all, or 640 for .gif, and at least 320.
         height: height of a panel [pixel]; None for 9/16 of its width.
         on_frame: called with the number of frames drawn and their total, after each.
 
@@ -219,8 +221,8 @@ def _columns(panels: int) -> int:
 
 
 def _panel_size(film: Film, whole: tuple[int, int], width: int | None, height: int | None) -> tuple[int, int]:
-    """Width and height of a panel, by default such that all panels together are as wide as `whole`."""
-    width = width or whole[0] // _columns(max(1, _num_panels(film)))
+    """Width and height of a panel, by default such that all panels together are as wide as `whole`, or wider."""
+    width = width or max(SMALLEST_PANEL, whole[0] // _columns(max(1, _num_panels(film))))
     return width, height or round(width * whole[1] / whole[0])
 
 

@@ -8,6 +8,7 @@ from warp_rigid.render.appearance import body_gloss, corner_normals
 from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.joints import DistanceJoint
+from warp_rigid.scene.scene import Scene
 
 __all__ = ["with_strings"]
 
@@ -24,14 +25,17 @@ COLOR = (0.08, 0.08, 0.09)
 def with_strings(film: Film, recording: Recording) -> Film:
     """Add the strings of all environments to a film of a recording: distance joints that have a maximum.
 
+    Only the scene of the recording is used: the poses are those of the film, as they may have
+    been written to a file instead.
+
     A recording that was read from a file has no scene; its film stays as it is.
     """
     scene = recording.scene
     joints = scene.joints if scene else []
     entries = [e for e in joints if isinstance(e.joint, DistanceJoint) and np.isfinite(e.joint.range[1])]
-    if not entries:
+    if scene is None or not entries:
         return film
-    meshes = [_tubes(recording, entries, row) for row in range(len(film.offset))]
+    meshes = [_tubes(film, scene, entries, row) for row in range(len(film.offset))]
     frames, count = film.num_frames, len(meshes)
     color = np.broadcast_to(np.array(COLOR, np.float32), (*film.color.shape[:-2], count, 3))
     still = np.broadcast_to(np.array((0, 0, 0, 1), np.float32), (frames, count, 4))
@@ -50,15 +54,15 @@ def with_strings(film: Film, recording: Recording) -> Film:
     )
 
 
-def _tubes(recording: Recording, entries: list, row: int) -> DrawnMesh:
+def _tubes(film: Film, scene: Scene, entries: list, row: int) -> DrawnMesh:
     """All strings of an environment as one mesh with the vertices of each frame."""
-    assert recording.scene is not None
     vertices = []
+    position, orientation = _poses(film, len(scene.bodies), row)
     for entry in entries:
-        first, second = entry.anchors(recording.position[:, row], recording.orientation[:, row].astype(np.float64))
+        first, second = entry.anchors(position, orientation)
         length = np.linalg.norm(second - first, axis=1)
         second = np.where((length <= STRETCH * entry.joint.range[1])[:, None], second, first)
-        radius = THICKNESS * recording.scene.bodies[entry.body_a].shape.size
+        radius = THICKNESS * scene.bodies[entry.body_a].shape.size
         vertices.append(_tube(first, second, radius))
     shown = np.concatenate(vertices, axis=1).astype(np.float32)
     k = np.arange(SIDES)
@@ -66,6 +70,15 @@ def _tubes(recording: Recording, entries: list, row: int) -> DrawnMesh:
     sides = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     faces = np.concatenate([2 * SIDES * number + sides for number in range(len(entries))]).astype(np.int32)
     return DrawnMesh(shown[0], faces, corner_normals(shown[0], faces), tuple(shown))
+
+
+def _poses(film: Film, bodies: int, row: int) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of all bodies of an environment in all frames: (frames, bodies, 3) and (frames, bodies, 4)."""
+    own = np.flatnonzero((film.env == row) & (film.body >= 0))
+    position, orientation = np.zeros((film.num_frames, bodies, 3)), np.zeros((film.num_frames, bodies, 4))
+    position[:, film.body[own]] = film.position[:, own] - film.offset[row]
+    orientation[:, film.body[own]] = film.orientation[:, own]
+    return position, orientation
 
 
 def _tube(first: np.ndarray, second: np.ndarray, radius: float) -> np.ndarray:

@@ -230,7 +230,8 @@ class Recording:
                 panel each.
             color: colour of the dynamic bodies by "body", "environment", "level", "speed" (of recorded velocities) or
                 "asleep".
-            width: width of a panel [pixel]; None for 640 pixels in all (`to_mp4`: 1280).
+            width: width of a panel [pixel]; None for 640 pixels in all (`to_mp4`: 1280), and at least
+                320.
             height: height of a panel [pixel]; None for 9/16 of its width.
 
         Returns:

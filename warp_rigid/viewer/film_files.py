@@ -69,7 +69,8 @@ def write_film(film: Film, path: Any, width: int | None = None, height: int | No
     Args:
         film: the film.
         path: the file; missing folders are created.
-        width: width of a panel of .gif and .mp4 [pixel]; None for 1280 pixels in all, or 640 for .gif.
+        width: width of a panel of .gif and .mp4 [pixel]; None for 1280 pixels in all, or 640 for .gif,
+            and at least 320.
         height: height of a panel [pixel]; None for 9/16 of its width.
         name: what the progress bar says is drawn; None for the path.
 
