@@ -9,6 +9,7 @@ import warp as wp
 from warp_rigid.engine.layout import exclusive_sums
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import candidates
+from warp_rigid.kernels.common import capacity
 from warp_rigid.kernels.common.crowd import CROWDED
 
 if TYPE_CHECKING:
@@ -102,6 +103,12 @@ class HashGrid:
             candidates.search_cells, dim=self.count * self.lanes, inputs=inputs, outputs=[cells], device=self.device
         )
         self._per_body(candidates.finish_lists, [which, self.room, bodies, turn], [wanted])
+
+    def note_use(self, which: int, wanted: wp.array) -> None:
+        """Record the capacity that the current lists of candidates require; the arguments are those of `update`."""
+        if self.buckets:
+            inputs = [which, self.cells.listed]
+            wp.launch(capacity.note_longest, dim=self.count, inputs=inputs, outputs=[wanted], device=self.device)
 
     def _per_body(self, kernel: Any, inputs: list, more: Sequence = ()) -> None:
         outputs = [self.cells, *more]

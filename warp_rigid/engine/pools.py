@@ -69,7 +69,8 @@ class Pools:
         selected: pairs of heaps with an impact, then those with an overlap.
         slots: velocity changes of the bodies of heaps by each of their pairs.
         turn: (1,) row of `wanted` for the current step.
-        wanted: (CHUNK, 4) required number of pairs, contacts, candidates and near samples of each step.
+        wanted: (CHUNK, 4) required number of pairs, contacts, candidates and near samples of each step; of candidates
+            only a number that exceeds the capacity, and in the first row, after the steps, that of the last one.
     """
 
     layout: Layout
@@ -142,6 +143,11 @@ class Pools:
         """Sizes enlarged to the required numbers of entries, times HEADROOM."""
         larger = {name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}
         return with_lists({**self.sizes, **larger})
+
+    def sizes_ahead(self, expected: dict[str, int]) -> dict[str, int]:
+        """Sizes for steps that may require more entries than fit, by at least the factor HEADROOM larger."""
+        short = {name: max(n, self.sizes[name]) for name, n in expected.items() if n > self.sizes[name]}
+        return self.larger_sizes(short) if short else self.sizes
 
     def grown(self, sizes: dict[str, int]) -> "Pools":
         """Larger pools with the same history."""
