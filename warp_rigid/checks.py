@@ -65,9 +65,11 @@ def finite_vector(name, value, length=3):
     """
     if type(value) is np.ndarray and value.shape == (length,):
         value = value.tolist()
-    if type(value) in (tuple, list) and len(value) == length and _PLAIN.issuperset(map(type, value)):
-        if math.hypot(*value) <= EXACT:
-            return tuple(map(float, value))
+    if type(value) in (tuple, list) and len(value) == length:
+        kinds = set(map(type, value))
+        if kinds <= _PLAIN and math.hypot(*value) <= EXACT:
+            # A tuple of floats is shared, as by the many bodies at rest.
+            return value if type(value) is tuple and kinds == {float} else tuple(map(float, value))
     array = numbers_of(value)
     ok = array is not None and array.shape == (length,)
     if not (ok and bool((np.abs(array) <= LARGEST).all())):

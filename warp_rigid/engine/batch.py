@@ -274,10 +274,10 @@ class Shards:
         fixed = NAMES if self.capacity else ()
         larger = []
         for shard in self._shards:
-            expected = {name: n for name, n in shard.demand.expected().items() if name not in fixed}
-            sizes = shard.pools.sizes_ahead(expected)
-            if sizes is not shard.pools.sizes:
-                larger.append((shard, sizes))
+            missing = shard.demand.missing(shard.pools.sizes)
+            short = {name: n for name, n in missing.items() if name not in fixed}
+            if short:
+                larger.append((shard, shard.pools.larger_sizes(short)))
         if larger:
             try:
                 growth = self._check_growth(larger)

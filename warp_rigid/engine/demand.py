@@ -4,18 +4,16 @@ import numpy as np
 
 from warp_rigid.engine.pools import CHUNK, POOLS
 
-WINDOW = 2 * CHUNK
-"""Number of steps whose requirements are kept: those of two capacity checks."""
-
-RISES = 2.0
-"""The next steps may require more than the last ones by this factor times the last increase; landings accelerate."""
+SOON, LATER = 1.25, 4.0
+"""Pools grow if the next steps exceed them that rise by the first number times the last rise (landings accelerate).
+Those that a rise by the second number exceeds grow with them, as the step must be recorded again anyway."""
 
 
 class Demand:
-    """Requirements of the last steps of a shard.
+    """Sizes that the last steps of a shard required of the pools.
 
     Attributes:
-        wanted: (steps, 4) entries that each of the last steps required of the pools, in their order.
+        wanted: (steps, 4) sizes that each of the last 2 CHUNK steps required, in the order of the pools.
     """
 
     def __init__(self) -> None:
@@ -28,14 +26,21 @@ class Demand:
         return len(self.wanted) > 0
 
     def note(self, wanted: np.ndarray) -> None:
-        """Add the requirements of valid steps, (steps, 4)."""
-        self.wanted = np.concatenate([self.wanted, wanted])[-WINDOW:]
+        """Add the sizes that valid steps required, (steps, 4)."""
+        self.wanted = np.concatenate([self.wanted, wanted])[-2 * CHUNK :]
 
-    def expected(self) -> dict[str, int]:
-        """Entries that the next CHUNK steps may require of each pool; 0 before the first step."""
+    def missing(self, sizes: dict[str, int]) -> dict[str, int]:
+        """Pools that should grow before the next steps, with the sizes that these may require.
+
+        Args:
+            sizes: the present sizes of the pools.
+        """
         if not self.known:
-            return dict.fromkeys(POOLS, 0)
-        last = self.wanted[-CHUNK:]
+            return {}
+        last = self.wanted[-CHUNK:].max(axis=0)
         before = self.wanted[:-CHUNK] if len(self.wanted) > CHUNK else self.wanted[:1]
-        rise = np.maximum(last.max(axis=0) - before.max(axis=0), 0)
-        return dict(zip(POOLS, (last.max(axis=0) + RISES * rise).astype(np.int64).tolist(), strict=True))
+        rise = np.maximum(last - before.max(axis=0), 0)
+        present = np.array([sizes[name] for name in POOLS])
+        soon, later = last + SOON * rise > present, last + LATER * rise > present
+        expected = np.maximum(last + SOON * rise, present).astype(np.int64).tolist()
+        return {name: n for name, n, low in zip(POOLS, expected, later, strict=True) if low} if soon.any() else {}

@@ -144,11 +144,6 @@ class Pools:
         larger = {name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}
         return with_lists({**self.sizes, **larger})
 
-    def sizes_ahead(self, expected: dict[str, int]) -> dict[str, int]:
-        """Sizes for steps that may require more entries than fit, by at least the factor HEADROOM larger."""
-        short = {name: max(n, self.sizes[name]) for name, n in expected.items() if n > self.sizes[name]}
-        return self.larger_sizes(short) if short else self.sizes
-
     def grown(self, sizes: dict[str, int]) -> "Pools":
         """Larger pools with the same history."""
         pools = Pools.allocate(self.layout, sizes, self.wanted.device)
