@@ -271,11 +271,10 @@ class Shards:
         """Enlarge pools that the next steps may exceed, unless memory is short; a fixed capacity stays."""
         if not self._growing_ahead:
             return
-        fixed = NAMES if self.capacity else ()
+        fixed = dict.fromkeys(NAMES, LARGEST) if self.capacity else {}
         larger = []
         for shard in self._shards:
-            missing = shard.demand.missing(shard.pools.sizes)
-            short = {name: n for name, n in missing.items() if name not in fixed}
+            short = shard.demand.missing({**shard.pools.sizes, **fixed})
             if short:
                 larger.append((shard, shard.pools.larger_sizes(short)))
         if larger:

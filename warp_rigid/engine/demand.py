@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from warp_rigid.engine.pools import CHUNK, POOLS
+from warp_rigid.engine.pools import CHUNK, LARGEST, POOLS
 
-SOON, LATER = 1.25, 4.0
-"""Pools grow if the next steps exceed them that rise by the first number times the last rise (landings accelerate).
-Those that a rise by the second number exceeds grow with them, as the step must be recorded again anyway."""
+SOON, LATER = 1.5, 4.0
+"""A pool grows if the next steps exceed it that rise by the first number times the last rise, as landings accelerate.
+It is sized for a rise by the second number, as are the pools which that exceeds: the step is recorded again anyway."""
 
 
 class Demand:
@@ -41,6 +41,8 @@ class Demand:
         before = self.wanted[:-CHUNK] if len(self.wanted) > CHUNK else self.wanted[:1]
         rise = np.maximum(last - before.max(axis=0), 0)
         present = np.array([sizes[name] for name in POOLS])
-        soon, later = last + SOON * rise > present, last + LATER * rise > present
-        expected = np.maximum(last + SOON * rise, present).astype(np.int64).tolist()
-        return {name: n for name, n, low in zip(POOLS, expected, later, strict=True) if low} if soon.any() else {}
+        soon, later = (np.minimum(last + times * rise, LARGEST) for times in (SOON, LATER))
+        if (soon <= present).all():
+            return {}
+        expected = np.maximum(later, present).astype(np.int64).tolist()
+        return {name: n for name, n, low in zip(POOLS, expected, later > present, strict=True) if low}
