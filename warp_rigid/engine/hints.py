@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_rigid.kernels.enums import Coordinate
-from warp_rigid.scene.columns import column, extents, is_dynamic, shapes_of
+from warp_rigid.scene.body_columns import column, extents, is_dynamic, shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 
 __all__ = ["hints_on"]

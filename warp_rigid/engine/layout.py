@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_rigid.checks import shown, whole_in
 from warp_rigid.engine import joints
-from warp_rigid.scene.columns import is_dynamic, shapes_of
+from warp_rigid.scene.body_columns import is_dynamic, shapes_of
 from warp_rigid.scene.scene import Body, Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Shape, Sphere
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.scene.columns import column, extents, is_dynamic, shapes_of
+from warp_rigid.scene.body_columns import column, extents, is_dynamic, shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Plane
 

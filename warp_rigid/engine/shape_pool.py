@@ -7,7 +7,7 @@ import numpy as np
 
 from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.kernels import declare, schema
-from warp_rigid.scene.columns import shapes_of
+from warp_rigid.scene.body_columns import shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield, moves
