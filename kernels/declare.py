@@ -285,6 +285,14 @@ def upload(struct: Any, rows: Mapping[str, np.ndarray], device: Any) -> Any:
     return instance
 
 
+def clone(instance: Any) -> Any:
+    """Return an instance of the same struct with copies of all arrays."""
+    copy = type(instance)()
+    for key in LAYOUTS[instance._cls.key]:
+        setattr(copy, key, wp.clone(getattr(instance, key)))
+    return copy
+
+
 def part(whole: Any, ranges: Mapping[str, tuple[int, int]]) -> Any:
     """Return a struct of views of the same arrays, restricted to the rows first to end - 1 of each symbol in `ranges`.
 

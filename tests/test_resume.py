@@ -113,7 +113,7 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path):
     assert ends[0][1].keys() == ends[1][1].keys()
     assert [name for name, array in ends[0][1].items() if array.tobytes() != ends[1][1][name].tobytes()] == []
     summaries = [json.loads(text.stdout) for text in (done, other)]
-    clock = (*FLAT, "contact_capacity", "pair_capacity")
+    clock = (*FLAT, "contact_capacity", "pair_capacity", "repeated_steps")
     assert [summaries[0][name] for name in summaries[0] if name not in clock] == [
         summaries[1][name] for name in summaries[1] if name not in clock
     ]

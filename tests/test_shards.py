@@ -25,6 +25,7 @@ from warp_rigid.scene.shapes import Box, Heightfield, Sphere
 from warp_rigid.scene.shapes.heightfield import HarmonicMotion
 
 ENVS = 5
+ROOM = ("pair_capacity", "contact_capacity", "repeated_steps")
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
 
 
@@ -64,7 +65,7 @@ def look(sim):
     """All that a user can see, but for the room that there is."""
     searched = [sim.get(name).tobytes() for name in (*STATE, "level", "asleep", "center_of_mass", "kinetic_energy")]
     searched += [sim.contacts().tobytes(), sim.status().tobytes()]
-    searched.append({name: count for name, count in sim.counts().items() if not name.endswith("capacity")})
+    searched.append({name: count for name, count in sim.counts().items() if name not in ROOM})
     swept = sim.swept_boxes().tobytes()
     return [*searched, sim.penetration().tobytes(), sim.time, swept]
 

@@ -30,6 +30,10 @@ __all__ = [
 ]
 
 LARGEST = float(np.finfo(np.float32).max)
+EXACT = 2.0**53
+"""Up to this size double precision has all whole numbers."""
+_PLAIN = frozenset({float, int, np.float64})
+"""Types of numbers that need no conversion by NumPy, which takes long for the millions of numbers of a scene."""
 LONGEST = 80
 MOST_LISTED = 8
 """Maximum number of names of a scene, or of environments, in a message."""
@@ -59,6 +63,13 @@ def finite_vector(name, value, length=3):
     Raises:
         ValueError: The value is not `length` finite numbers.
     """
+    if type(value) is np.ndarray and value.shape == (length,):
+        value = value.tolist()
+    if type(value) in (tuple, list) and len(value) == length:
+        kinds = set(map(type, value))
+        if kinds <= _PLAIN and math.hypot(*value) <= EXACT:
+            # A tuple of floats is shared, as by the many bodies at rest.
+            return value if type(value) is tuple and kinds == {float} else tuple(map(float, value))
     array = numbers_of(value)
     ok = array is not None and array.shape == (length,)
     if not (ok and bool((np.abs(array) <= LARGEST).all())):
@@ -101,6 +112,8 @@ def number_in(name, value, low=-math.inf, high=math.inf, *, above=None):
     Raises:
         ValueError: The value is not a finite number or is outside the range.
     """
+    if type(value) in _PLAIN and low <= value <= high and abs(value) <= EXACT and (above is None or value > above):
+        return float(value)
     array = numbers_of(value)
     if array is None or array.shape != ():
         raise ValueError(f"{name}: must be {_range(low, high, above)}, got {shown(value)}")

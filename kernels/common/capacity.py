@@ -27,6 +27,14 @@ def note_wanted(which: int, start: wp.array[int], turn: wp.array[int], wanted: w
 
 
 @wp.kernel
+def note_longest(which: int, lengths: wp.array[int], wanted: wp.array2d[int]):
+    """Record in the first row the capacity that lists of equal capacity require, by the longest of them."""
+    length = lengths[wp.tid()]
+    if length > 0:
+        wp.atomic_max(wanted, 0, which, length * lengths.shape[0])
+
+
+@wp.kernel
 def close_turn(wanted: wp.array2d[int], turn: wp.array[int]):
     """Advance to the next step's row of `wanted`; steps beyond the last row share it."""
     turn[0] = wp.min(turn[0] + 1, wanted.shape[0] - 1)

@@ -11,7 +11,7 @@ from warp_rigid.engine.hash_grid import grid_sizes
 from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.engine.memory import MemoryLimit, pool_bytes
 from warp_rigid.engine.model import Model
-from warp_rigid.engine.pools import LARGEST, NAMES, POOLS, sizes_for
+from warp_rigid.engine.pools import CHUNK, LARGEST, NAMES, POOLS, sizes_for
 from warp_rigid.engine.shard import Shard
 from warp_rigid.errors import CapacityError
 
@@ -36,6 +36,7 @@ class Tally(NamedTuple):
     """Sizes that steps required of the pools.
 
     Attributes:
+        rows: (shards, steps, 4) sizes that each step required of the pools.
         most: (2,) largest number of pairs and contacts that a step required, over all shards together.
         short: shards whose capacity was exceeded, with the required sizes of the pools that were too small.
         over: the pool whose maximum capacity was exceeded, if there is one.
@@ -43,6 +44,7 @@ class Tally(NamedTuple):
         fitted: number of steps before the one that exceeded it.
     """
 
+    rows: np.ndarray
     most: np.ndarray
     short: list[tuple[Shard, dict[str, int]]]
     over: str | None = None
@@ -87,6 +89,7 @@ class Shards:
         steps: number of completed steps.
         capacity: as given.
         most_wanted: (2,) largest number of pairs and contacts that a step has required.
+        repeated: number of steps that were simulated again because a pool was too small.
     """
 
     def __init__(
@@ -104,8 +107,9 @@ class Shards:
         self._threads, self._attempt = usable_cores(), 0
         workers = self._threads if len(ranges) == 1 else 1
         self._shards = [Shard(*some, model, state, sleep_state, envs, workers) for some in ranges]
-        self._envs, self._limit, self._other_bytes, self._growth_reported = envs, limit, other_bytes, False
-        self.steps, self.capacity, self.most_wanted = 0, capacity, np.zeros(2, np.int64)
+        self._envs, self._limit, self._other_bytes = envs, limit, other_bytes
+        self._growth_reported, self._growing_ahead = False, True
+        self.steps, self.capacity, self.most_wanted, self.repeated = 0, capacity, np.zeros(2, np.int64), 0
 
     def __iter__(self) -> Iterator[Shard]:
         """Iterate over the shards in the order of their environments."""
@@ -141,6 +145,11 @@ class Shards:
         for shard in self._shards:
             shard.choose(dt, repetitions, sleeping, running)
 
+    @property
+    def most_steps(self) -> int:
+        """Steps to execute until the next capacity check: one until the requirements of a step are known."""
+        return CHUNK if all(shard.demand.known for shard in self._shards) else 1
+
     def record(self) -> None:
         """Record the step where this is needed, one shard after another."""
         for shard in self._shards:
@@ -152,6 +161,7 @@ class Shards:
         Raises:
             CapacityError: the capacity is exceeded and cannot grow; all environments are at the last valid step.
         """
+        self._grow_ahead()
         try:
             self._confirm(self._advance(count), count)
         except BaseException:
@@ -193,7 +203,8 @@ class Shards:
                 raise self._overflow(tally)
             if not tally.short:
                 return tally
-            self._grow(tally.short)
+            self._grow(tally.short, f"; {count} step{'s' * (count > 1)} repeated")
+            self.repeated += count
             left = [shard for shard, _ in tally.short]
 
     def _try(self, shards: list[Shard], count: int) -> None:
@@ -212,6 +223,8 @@ class Shards:
 
     def _confirm(self, tally: Tally, count: int) -> None:
         """Accept the last steps; this attempt can no longer be undone."""
+        for shard, rows in zip(self._shards, tally.rows, strict=True):
+            shard.demand.note(rows[:count])
         self._attempt += 1
         self.steps += count
         self.most_wanted = np.maximum(self.most_wanted, tally.most)
@@ -234,9 +247,10 @@ class Shards:
             known[void] = 0
         over = np.argwhere(known > [self.capacity[name] if self.capacity else LARGEST for name in NAMES])
         if len(over) == 0:
-            return Tally(known.max(axis=0), short)
+            return Tally(wanted, known.max(axis=0), short)
         step, pool = (int(k) for k in over[0])
-        return Tally(known[:step].max(axis=0, initial=0), short, NAMES[pool], int(known[step, pool]), step)
+        most = known[:step].max(axis=0, initial=0)
+        return Tally(wanted, most, short, NAMES[pool], int(known[step, pool]), step)
 
     def _shortage(self, wanted: np.ndarray, too_much: np.ndarray) -> tuple[int, list[tuple[Shard, dict[str, int]]]]:
         """The first step invalid in any shard, and the sizes required by each shard in its first invalid step.
@@ -253,21 +267,48 @@ class Shards:
                 short.append((shard, {POOLS[k]: int(rows[first, k]) for k in np.flatnonzero(much[first])}))
         return void, short
 
-    def _grow(self, short: list[tuple[Shard, dict[str, int]]]) -> None:
+    def _grow_ahead(self) -> None:
+        """Enlarge pools that the next steps may exceed, unless memory is short; a fixed capacity stays."""
+        if not self._growing_ahead:
+            return
+        fixed = dict.fromkeys(NAMES, LARGEST) if self.capacity else {}
+        larger = []
+        for shard in self._shards:
+            short = shard.demand.missing({**shard.pools.sizes, **fixed})
+            if short:
+                larger.append((shard, shard.pools.larger_sizes(short)))
+        if larger:
+            try:
+                growth = self._check_growth(larger)
+            except CapacityError:
+                self._growing_ahead = False
+                return
+            log.debug("capacity grows ahead of need: %s", growth)
+            for shard, sizes in larger:
+                shard.grow(sizes)
+
+    def _grow(self, short: list[tuple[Shard, dict[str, int]]], what: str = "") -> None:
         """Enlarge pools that were too small; their shards' steps are undone."""
         larger = [(shard, shard.pools.larger_sizes(wanted)) for shard, wanted in short]
-        names = [name for name in POOLS if any(name in wanted for _, wanted in short)]
-        growth = ", ".join(
-            f"{name} {now} -> {now + sum(sizes[name] - shard.pools.sizes[name] for shard, sizes in larger)}"
-            for name, now in ((name, sum(shard.pools.sizes[name] for shard in self._shards)) for name in names)
-        )
-        self._limit.check(self.memory, sum(pool_bytes(sizes) for _, sizes in larger), f"larger capacity ({growth})")
+        growth = self._check_growth(larger)
         level = logging.DEBUG if self._growth_reported or self.capacity else logging.INFO
-        log.log(level, "capacity grows: %s; the steps are repeated", growth)
+        log.log(level, "capacity grows: %s%s", growth, what)
         self._growth_reported = True
         for shard, sizes in larger:
             shard.undo(self._attempt)
             shard.grow(sizes)
+
+    def _check_growth(self, larger: list[tuple[Shard, dict[str, int]]]) -> str:
+        """Describe the growth of the pools of all shards together.
+
+        Raises:
+            CapacityError: the larger pools do not fit into memory.
+        """
+        now = {name: sum(shard.pools.sizes[name] for shard in self._shards) for name in POOLS}
+        more = {name: sum(sizes[name] - shard.pools.sizes[name] for shard, sizes in larger) for name in POOLS}
+        growth = ", ".join(f"{name} {now[name]} -> {now[name] + more[name]}" for name in POOLS if more[name])
+        self._limit.check(self.memory, sum(pool_bytes(sizes) for _, sizes in larger), f"larger capacity ({growth})")
+        return growth
 
     def _overflow(self, tally: Tally) -> CapacityError:
         """The error for a step that exceeds the capacity; the step is undone."""

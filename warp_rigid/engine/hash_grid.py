@@ -9,6 +9,7 @@ import warp as wp
 from warp_rigid.engine.layout import exclusive_sums
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import candidates
+from warp_rigid.kernels.common import capacity
 from warp_rigid.kernels.common.crowd import CROWDED
 
 if TYPE_CHECKING:
@@ -20,8 +21,8 @@ TRY_ALL_UP_TO = 256
 BUCKETS_PER_BODY = 2
 """Minimum number of buckets for each body, so that cells seldom share a bucket."""
 
-CANDIDATES_PER_BODY = 24
-"""Initial capacity of the list of each body; the longest list of a heap of boxes has about as many."""
+CANDIDATES_PER_BODY = 32
+"""Initial capacity of the list of each body; the longest list of a heap of boxes has about 25 entries."""
 
 ORDINARY_WIDTH = 1.3
 """Cell width at the level of ordinary bodies, divided by their diameter, so that most fat boxes at rest fit in."""
@@ -102,6 +103,12 @@ class HashGrid:
             candidates.search_cells, dim=self.count * self.lanes, inputs=inputs, outputs=[cells], device=self.device
         )
         self._per_body(candidates.finish_lists, [which, self.room, bodies, turn], [wanted])
+
+    def note_use(self, which: int, wanted: wp.array) -> None:
+        """Record the capacity that the current lists of candidates require; the arguments are those of `update`."""
+        if self.buckets:
+            inputs = [which, self.cells.listed]
+            wp.launch(capacity.note_longest, dim=self.count, inputs=inputs, outputs=[wanted], device=self.device)
 
     def _per_body(self, kernel: Any, inputs: list, more: Sequence = ()) -> None:
         outputs = [self.cells, *more]

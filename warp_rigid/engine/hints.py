@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_rigid.kernels.enums import Coordinate
+from warp_rigid.scene.body_columns import column, extents, is_dynamic, shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 
 __all__ = ["hints_on"]
@@ -50,11 +51,11 @@ def _long_steps(scene: Scene, dt: float) -> list[str]:
     moving = [body for body in scene.bodies if body.motion != Motion.STATIC and body.active]
     if not moving:
         return []
-    extent = {body.shape.key: float(np.ptp(body.shape.bounds, axis=0).max()) for body in moving}
-    size = np.array([extent[body.shape.key] for body in moving])
-    gained = dt * np.array([np.linalg.norm(scene.gravity) * (body.motion == Motion.DYNAMIC) for body in moving])
-    speed = np.linalg.norm([body.linear_velocity for body in moving], axis=1) + gained
-    spin = np.linalg.norm([body.angular_velocity for body in moving], axis=1)
+    shapes, shape_of = shapes_of(moving)
+    size = extents(shapes).max(axis=1)[shape_of]
+    gained = dt * np.linalg.norm(scene.gravity) * is_dynamic(moving)
+    speed = np.linalg.norm(column(moving, "linear_velocity"), axis=1) + gained
+    spin = np.linalg.norm(column(moving, "angular_velocity"), axis=1)
     found = []
     for rate, most, text in (
         (speed / size, LONGEST_STEP, "moves by {:.2g} times its size"),

@@ -25,7 +25,7 @@ FROM_BODIES = "joined"
 def mechanisms_of(scene: Scene) -> Mechanisms:
     """The mechanisms of a scene."""
     ends = tuple((entry.body_a, entry.body_b) for entry in scene.joints)
-    return find_mechanisms(ends, tuple(body.motion == Motion.DYNAMIC for body in scene.bodies))
+    return find_mechanisms(ends, tuple(body.motion == Motion.DYNAMIC for body in scene.bodies) if ends else ())
 
 
 def counts(scene: Scene) -> dict[str, int]:

@@ -12,8 +12,9 @@ import numpy as np
 
 from warp_rigid.checks import shown, whole_in
 from warp_rigid.engine import joints
-from warp_rigid.scene.scene import Body, Motion, Scene
-from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Sphere
+from warp_rigid.scene.body_columns import is_dynamic, shapes_of
+from warp_rigid.scene.scene import Body, Scene
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Shape, Sphere
 
 MOST_ENVIRONMENTS = 10_000_000
 
@@ -70,13 +71,12 @@ class Layout:
     @cached_property
     def has_many_samples(self) -> bool:
         """Whether a shape may have hundreds of samples: a mesh, a compound or a height field."""
-        return any(isinstance(body.shape, Mesh | Compound | Heightfield) for body in self.scene_bodies)
+        return any(isinstance(shape, Mesh | Compound | Heightfield) for shape in self.shapes)
 
     @cached_property
     def has_only_solids(self) -> bool:
         """Whether each shape is a convex solid (`is_solid` in convex.py). No compound counts as one."""
-        shapes = {body.shape.key: body.shape for body in self.scene_bodies}.values()
-        return all(isinstance(shape, Sphere | Box | Capsule | Cylinder) or len(shape.hull) > 0 for shape in shapes)
+        return all(isinstance(shape, Sphere | Box | Capsule | Cylinder) or len(shape.hull) > 0 for shape in self.shapes)
 
     @cached_property
     def has_joints(self) -> bool:
@@ -119,6 +119,16 @@ class Layout:
         return [body for scene in self.scenes for body in scene.bodies]
 
     @cached_property
+    def shapes_of_bodies(self) -> tuple[list[Shape], np.ndarray]:
+        """The distinct shapes of `scene_bodies`, and the index of that of each of them."""
+        return shapes_of(self.scene_bodies)
+
+    @property
+    def shapes(self) -> list[Shape]:
+        """The distinct shapes of all scenes."""
+        return self.shapes_of_bodies[0]
+
+    @cached_property
     def source(self) -> np.ndarray:
         """Index into `scene_bodies` for each body of all environments, (bodies,)."""
         return self.copies([len(scene.bodies) for scene in self.scenes])
@@ -126,7 +136,7 @@ class Layout:
     @cached_property
     def dynamic_per_env(self) -> np.ndarray:
         """Number of dynamic bodies of each environment, (envs,)."""
-        found = [sum(body.motion == Motion.DYNAMIC for body in scene.bodies) for scene in self.scenes]
+        found = [int(is_dynamic(scene.bodies).sum()) for scene in self.scenes]
         return np.array(found)[self.scene_of]
 
     def copies(self, lengths: Sequence[int]) -> np.ndarray:

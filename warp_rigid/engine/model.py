@@ -14,6 +14,7 @@ from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import ccd
 from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.scene.body_columns import column, is_dynamic, shapes_of
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import COMBINE_RULES, SURFACE_VELOCITIES, Body, Motion, Scene
 from warp_rigid.scene.shapes import Shape
@@ -140,7 +141,7 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
 def impact_rounds(scene: Scene) -> int:
     """Rounds of continuous collision detection in an environment."""
     mechanisms = joints.mechanisms_of(scene).members
-    alone = sum(body.motion == Motion.DYNAMIC for body in scene.bodies) - sum(map(len, mechanisms))
+    alone = int(is_dynamic(scene.bodies).sum()) - sum(map(len, mechanisms))
     return min(max(alone + ccd.TURNS_OF_A_MECHANISM * len(mechanisms), ccd.FEWEST_TURNS), ccd.MOST_TURNS)
 
 
@@ -150,7 +151,7 @@ def _out_of_bounds(scene: Scene) -> OutOfBounds:
 
 def _column(layout: Layout, name: str, kind: Any) -> np.ndarray:
     """An attribute of all bodies, (bodies, ...)."""
-    return np.array([getattr(body, name) for body in layout.scene_bodies], kind)[layout.source]
+    return column(layout.scene_bodies, name, kind)[layout.source]
 
 
 def mass_arrays(shape: Shape, mass: np.ndarray) -> dict[str, np.ndarray]:
@@ -167,8 +168,9 @@ def mass_arrays(shape: Shape, mass: np.ndarray) -> dict[str, np.ndarray]:
 
 def _split_by_size(bodies: list[Body]) -> SizeGroups:
     """Dynamic bodies of ordinary size, the other bodies, and the cell width of the grid for the former."""
-    reach = np.array([0.5 * np.linalg.norm(_extent(body.shape)) for body in bodies])
-    dynamic = np.array([body.motion == Motion.DYNAMIC for body in bodies], bool)
+    shapes, shape_of = shapes_of(bodies)
+    reach = np.array([0.5 * np.linalg.norm(_extent(shape)) for shape in shapes])[shape_of]
+    dynamic = is_dynamic(bodies)
     typical = float(np.median(reach[dynamic])) if dynamic.any() else 1.0
     small = dynamic & (reach <= OVERSIZED * typical)
     width = 2.0 * float(reach[small].max()) if small.any() else 1.0
@@ -181,18 +183,21 @@ def _extent(shape: Shape) -> np.ndarray:
     return np.clip(upper, -UNBOUNDED, UNBOUNDED) - np.clip(lower, -UNBOUNDED, UNBOUNDED)
 
 
-def _filtered(scene: Scene) -> list[list[int]]:
-    """For each body of an environment, the bodies with which contact is filtered out."""
-    others: list[list[int]] = [[] for _ in scene.bodies]
-    for a, b in sorted(scene.filtered_pairs):
-        others[a].append(b)
-        others[b].append(a)
-    return others
+def _filtered(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The bodies with which contact is filtered out, body by body, and their number for each body."""
+    pairs = np.array(sorted(scene.filtered_pairs), np.int32).reshape(-1, 2)
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    order = np.lexsort((both[:, 1], both[:, 0]))
+    return both[order, 1], np.bincount(both[:, 0], minlength=len(scene.bodies))
 
 
-def _center_of_mass(body: Body) -> np.ndarray:
-    """Centre of mass in the shape's frame; zero for static bodies, which may be unbounded."""
-    return np.zeros(3) if body.motion == Motion.STATIC else body.shape.center_of_mass
+def _centers_of_mass(layout: Layout) -> np.ndarray:
+    """Centres of mass in the shape's frame, (bodies, 3); zero for static bodies, which may be unbounded."""
+    shapes, shape_of = layout.shapes_of_bodies
+    moves = column(layout.scene_bodies, "motion", np.int32) != Motion.STATIC
+    used = np.bincount(shape_of[moves], minlength=len(shapes)) > 0
+    centers = [shape.center_of_mass if used[k] else np.zeros(3) for k, shape in enumerate(shapes)]
+    return np.where(moves[:, None], np.array(centers)[shape_of], 0.0).astype(np.float32)
 
 
 def _upload_fields(layout: Layout, device: Any) -> Any:
@@ -215,7 +220,7 @@ def _upload_paths(layout: Layout, device: Any) -> Any:
     distinct: list[PosePath] = list(dict.fromkeys(found))
     first = exclusive_sums(np.array([len(path.times) for path in distinct], np.int64))
     which, source = np.array([distinct.index(path) for path in found], np.int64), layout.copies(lengths)
-    follows = np.array([body.path is not None for body in layout.scene_bodies])
+    follows = np.array([body.path is not None for body in layout.scene_bodies], bool)
     rows: dict[str, Any] = {
         "body": np.flatnonzero(follows[layout.source]).astype(np.int32),
         "first": first[which][source].astype(np.int32),
@@ -230,37 +235,33 @@ def _upload_paths(layout: Layout, device: Any) -> Any:
 
 def _upload_bodies(layout: Layout, pool: Pool, device: Any) -> Any:
     """Write the properties of all bodies, those of each scene for all its environments."""
-    bodies, source = layout.scene_bodies, layout.source
+    source = layout.source
     rows = declare.allocate(schema.Bodies, layout.sizes, device)
     rows.env.assign(layout.env_of_row.astype(np.int32))
-    others, lengths = concatenated(_filtered, layout.scenes)
+    others, per_body = zip(*map(_filtered, layout.scenes), strict=True)
     if layout.sizes["filtered"]:
-        flat, per_scene = concatenated(lambda scene: sum(_filtered(scene), []), layout.scenes)
-        rows.filtered.assign(np.array(flat, np.int32)[layout.copies(per_scene)])
-    per_body = np.array([len(some) for some in others])[layout.copies(lengths)]
-    rows.filtered_start.assign(exclusive_sums(per_body).astype(np.int32))
-    host: dict[str, np.ndarray] = {
-        "motion": np.array([int(body.motion) for body in bodies], np.int32),
-        "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
-    }
+        rows.filtered.assign(np.concatenate(others)[layout.copies([len(some) for some in others])])
+    rows.filtered_start.assign(exclusive_sums(np.concatenate(per_body)[source]).astype(np.int32))
+    rows.motion.assign(_column(layout, "motion", np.int32))
+    rows.center_of_mass.assign(_centers_of_mass(layout)[source])
     for name in (*COEFFICIENTS, *SURFACE_VELOCITIES):
-        host[name] = np.array([getattr(body, name) for body in bodies], np.float32)
-    for name, value in {**host, **_masses(bodies)}.items():
+        getattr(rows, name).assign(_column(layout, name, np.float32))
+    for name, value in _masses(layout).items():
         getattr(rows, name).assign(value[source])
     rows.shape.assign(pool.shape_of_row)
     return rows
 
 
-def _masses(bodies: list[Body]) -> dict[str, np.ndarray]:
+def _masses(layout: Layout) -> dict[str, np.ndarray]:
     """Masses, inertia tensors and their inverses of bodies; zero unless dynamic."""
-    shapes = {"mass": (), "inverse_mass": (), "inertia": (3, 3), "inverse_inertia": (3, 3)}
-    host = {name: np.zeros((len(bodies), *tail), np.float32) for name, tail in shapes.items()}
-    of_shape: dict[str, list[int]] = {}
-    for index, body in enumerate(bodies):
-        if body.motion == Motion.DYNAMIC:
-            of_shape.setdefault(body.shape.key, []).append(index)
-    for own in of_shape.values():
-        mass = np.array([bodies[index].mass for index in own])
-        for name, value in mass_arrays(bodies[own[0]].shape, mass).items():
+    bodies = layout.scene_bodies
+    tails = {"mass": (), "inverse_mass": (), "inertia": (3, 3), "inverse_inertia": (3, 3)}
+    host = {name: np.zeros((len(bodies), *tail), np.float32) for name, tail in tails.items()}
+    shapes, shape_of = layout.shapes_of_bodies
+    dynamic = np.flatnonzero(is_dynamic(bodies))
+    by_shape = dynamic[np.argsort(shape_of[dynamic], kind="stable")]
+    mass = column(bodies, "mass")
+    for own in np.split(by_shape, np.flatnonzero(np.diff(shape_of[by_shape])) + 1) if len(by_shape) else ():
+        for name, value in mass_arrays(shapes[shape_of[own[0]]], mass[own]).items():
             host[name][own] = value
     return host

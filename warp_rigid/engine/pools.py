@@ -69,7 +69,8 @@ class Pools:
         selected: pairs of heaps with an impact, then those with an overlap.
         slots: velocity changes of the bodies of heaps by each of their pairs.
         turn: (1,) row of `wanted` for the current step.
-        wanted: (CHUNK, 4) required number of pairs, contacts, candidates and near samples of each step.
+        wanted: (CHUNK, 4) required number of pairs, contacts, candidates and near samples of each step; of candidates
+            only a number that exceeds the capacity, and in the first row, after the steps, that of the last one.
     """
 
     layout: Layout

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from warp_rigid import rotations
+from warp_rigid.scene.body_columns import column, extents, is_dynamic, shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Plane
 
@@ -25,17 +26,20 @@ def check_precision(scene: Scene) -> None:
         ValueError: The masses of the dynamic bodies or the moments of inertia of one differ too much, or a body that
             does not move is too far from the origin along gravity for the smallest dynamic body to rest on it.
     """
-    dynamic = [(index, body) for index, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
-    check_mass_ratio(body.mass for _, body in dynamic)
-    inertia = np.array([body.shape.inertia for _, body in dynamic], np.float64).reshape(-1, 3, 3)
-    for (index, body), moments in zip(dynamic, np.linalg.eigvalsh(inertia), strict=True):
+    dynamic = np.flatnonzero(is_dynamic(scene.bodies))
+    check_mass_ratio(column(scene.bodies, "mass")[dynamic].tolist())
+    shapes, shape_of = shapes_of(scene.bodies)
+    used, first = np.unique(shape_of[dynamic], return_index=True)
+    for index, which in sorted(zip(dynamic[first].tolist(), used.tolist(), strict=True)):
+        moments = shapes[which].moments
         if moments[2] > MOST_MOMENT_RATIO * moments[0]:
             raise ValueError(
-                f"body {index} ({body.name}): must have moments of inertia that differ by at most a factor of "
-                f"{MOST_MOMENT_RATIO:.3g}, got {moments[2] / moments[0]:.3g}; a thicker shape has a smaller one"
+                f"body {index} ({scene.bodies[index].name}): must have moments of inertia that differ by at most a "
+                f"factor of {MOST_MOMENT_RATIO:.3g}, got {moments[2] / moments[0]:.3g}; a thicker shape "
+                "has a smaller one"
             )
-    if dynamic:
-        _check_heights(scene, min(float(np.max(body.shape.bounds[1] - body.shape.bounds[0])) for _, body in dynamic))
+    if len(used):
+        _check_heights(scene, float(extents([shapes[which] for which in used]).max(axis=1).min()))
 
 
 def _check_heights(scene: Scene, size: float) -> None:
@@ -62,9 +66,9 @@ def check_mass_ratio(masses: Iterable[float]) -> None:
     Raises:
         ValueError: It is too large.
     """
-    found = sorted(masses)
-    if found and found[-1] > 1.0001 * MOST_MASS_RATIO * found[0]:
+    found = list(masses)
+    if found and max(found) > 1.0001 * MOST_MASS_RATIO * min(found):
         raise ValueError(
             f"mass: the heaviest dynamic body must have at most {MOST_MASS_RATIO:g} times the mass of the lightest, "
-            f"got {found[-1]:g} kg and {found[0]:g} kg; a body that does not move can be static or kinematic"
+            f"got {max(found):g} kg and {min(found):g} kg; a body that does not move can be static or kinematic"
         )

@@ -7,6 +7,7 @@ import numpy as np
 
 from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.kernels import declare, schema
+from warp_rigid.scene.body_columns import shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield, moves
@@ -87,10 +88,7 @@ def distinct_shapes(layout: Layout) -> list[tuple[Shape, int]]:
     shapes: dict[str, Shape] = {}
     envs = np.bincount(layout.scene_of, minlength=len(layout.scenes)).tolist()
     for scene, count in zip(layout.scenes, envs, strict=True):
-        own: dict[str, Shape] = {}
-        for body in scene.bodies:
-            own.setdefault(body.shape.key, body.shape)
-        for shape in own.values():
+        for shape in shapes_of(scene.bodies)[0]:
             shapes.setdefault(shape.key, shape)
             copies[shape.key] = copies.get(shape.key, 0) + count if moves(shape) else 1
     return [(shape, copies[key]) for key, shape in shapes.items()]
@@ -100,21 +98,24 @@ def _entries(layout: Layout) -> tuple[list[Entry], np.ndarray]:
     """Shapes in the order of the pool, and the index of each body's shape; copies of moving shapes come last."""
     entries: list[Entry] = []
     index: dict[tuple[str, float], int] = {}
-    of_body: list[int] = []
+    of_body: list[np.ndarray] = []
     moving: list[list[tuple[int, Shape]]] = []
+    first = 0
     for scene in layout.scenes:
         reach = _exact_reach(scene)
-        moving.append([])
-        for body in scene.bodies:
-            shape = body.shape
+        shapes, shape_of = shapes_of(scene.bodies)
+        places = np.full(len(shapes), -1, np.int32)
+        for number, shape in enumerate(shapes):
             key = (shape.key, reach if isinstance(shape, Heightfield) else 0.0)
-            if moves(shape):
-                moving[-1].append((len(of_body), shape))
-            elif key not in index:
+            if not moves(shape) and key not in index:
                 index[key] = len(entries)
                 entries.append(Entry(shape, key[1]))
-            of_body.append(index.get(key, -1))
-    rows = np.array(of_body, np.int32)[layout.source]
+            places[number] = index.get(key, -1)
+        of_body.append(places[shape_of])
+        copied = np.flatnonzero(of_body[-1] < 0).tolist()
+        moving.append([(first + body, scene.bodies[body].shape) for body in copied])
+        first += len(scene.bodies)
+    rows = np.concatenate(of_body)[layout.source]
     if any(moving):
         _copy_moving(layout, moving, entries, rows)
     return entries, rows
@@ -137,9 +138,9 @@ def _exact_reach(scene: Scene) -> float:
     """Reach within which distances to height fields must be exact [m]: sample radius and half-length, plus a margin."""
     if not any(isinstance(body.shape, Heightfield) for body in scene.bodies):
         return 0.0
-    shapes = {body.shape.key: body.shape for body in scene.bodies if body.motion == Motion.DYNAMIC}
+    shapes = shapes_of([body for body in scene.bodies if body.motion == Motion.DYNAMIC])[0]
     reach = 0.0 if shapes else UNBOUNDED
-    for shape in shapes.values():
+    for shape in shapes:
         samples = shape.samples()
         spans = np.linalg.norm(samples.slide, axis=1) + samples.radius
         reach = max(reach, float(spans.max(initial=0.0)) + 0.1 * shape.size)

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine import health_checks
+from warp_rigid.engine.demand import Demand
 from warp_rigid.engine.loading import OVERLAP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
@@ -42,6 +43,7 @@ class Shard:
         first_body: row of its first body in the arrays of all environments.
         end_body: one past the row of its last body.
         pools: pairs, contacts and graph.
+        demand: what the last steps required of the pools.
         watches: what its steps record for observers, None for nothing.
         seconds: duration of the last `advance` [s].
     """
@@ -75,6 +77,7 @@ class Shard:
         self._device: Any = envs.step.device
         self._saved_in: int | None = None
         self.pools = Pools.allocate(self.layout, sizes, self._device)
+        self.demand = Demand()
         self.note_masses()
 
     def note_masses(self) -> None:
@@ -120,8 +123,10 @@ class Shard:
             health_checks.check(stages)
         with wp.ScopedCapture(self._device, force_module_load=False) as loads:
             health_checks.check_loads(stages)
+        with wp.ScopedCapture(self._device, force_module_load=False) as candidates:
+            stages.note_candidates()
         self.pools, self._stages, self._kept, self._keeping = pools, stages, kept, capture.graph
-        self._checking, self._checking_loads = checking.graph, loads.graph
+        self._checking, self._checking_loads, self._noting = checking.graph, loads.graph, candidates.graph
         self._measuring: Any = None
 
     def watch(self, watches: Any) -> None:
@@ -142,6 +147,7 @@ class Shard:
                 wp.capture_launch(self._checking)
             elif self._overload:
                 wp.capture_launch(self._checking_loads)
+        wp.capture_launch(self._noting)
         self.seconds = time.perf_counter() - begin
 
     def save(self, attempt: int) -> None:

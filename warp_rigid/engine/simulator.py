@@ -16,7 +16,6 @@ from warp_rigid.display import html_of
 from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, stage_times, step_reports, watching
 from warp_rigid.engine.hints import hints_on
 from warp_rigid.engine.layout import LACKING, layout_of
-from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.selection import Indices, Members
 from warp_rigid.engine.settings import Settings, check_settings
 from warp_rigid.engine.world import World
@@ -64,9 +63,10 @@ class Simulator:
             the environments are distributed over all cores that the process may use; a single environment of more than
             128 bodies uses all of them.
         seed: stored for scenes and metrics that draw random numbers; the simulation itself draws none.
-        on_overflow: what happens when a step finds more pairs or contacts than the capacity. "grow" undoes the step,
-            increases the capacity and repeats the step, with the same bits as with that capacity from the start.
-            "raise" undoes the step and raises a CapacityError.
+        on_overflow: what happens when a step finds more pairs or contacts than the capacity. "grow" increases the
+            capacity between steps, before the number that the last steps found reaches it. If a step exceeds it all the
+            same, the last steps, at most 16, are repeated. The results are the same bits as with that capacity from
+            the start. "raise" undoes the step and raises a CapacityError.
         on_nonfinite: what happens when a state becomes non-finite. "quarantine" halts that environment and reports it
             in `status`; "raise" also raises a NonFiniteError.
         memory_limit: largest amount of device memory: bytes (int), a fraction of the device's memory (float), or None
@@ -195,7 +195,7 @@ class Simulator:
         """
         left = whole_in("count", count, 0, 2**31)
         while left > 0:
-            chunk = min(left, CHUNK)
+            chunk = min(left, self._world.shards.most_steps)
             self._world.shards.step(chunk)
             left -= chunk
             if self.on_nonfinite == "raise":
@@ -439,7 +439,10 @@ class Simulator:
 
     @guarded
     def counts(self) -> dict[str, int]:
-        """Return the numbers of pairs, contacts and levels of the last step, the capacities and their largest use."""
+        """Return the numbers of pairs, contacts and levels of the last step, the capacities and their largest use.
+
+        "repeated_steps" is the number of steps that were simulated again because they exceeded the capacity.
+        """
         return step_reports.counts(self._world)
 
     @guarded

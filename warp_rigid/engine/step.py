@@ -376,6 +376,13 @@ class Stages:
             self.share(build_contacts.store_impulses, self.pools.sizes["contacts"], [contacts, pairs], [history])
         wp.launch(capacity.close_turn, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.turn], device=self.device)
 
+    def note_candidates(self) -> None:
+        """Record the capacity that the lists of candidates require; it is not part of the recorded step.
+
+        A step only records what exceeds their capacity.
+        """
+        self.grid.note_use(CANDIDATES, self.pools.wanted)
+
     def levels(self) -> np.ndarray:
         """Level of each body in the contact graph of the last step, (bodies,).
 

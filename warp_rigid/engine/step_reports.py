@@ -92,6 +92,7 @@ def counts(world: World) -> dict[str, int]:
         "contact_capacity": sizes["contacts"],
         "most_pairs": int(world.shards.most_wanted[0]),
         "most_contacts": int(world.shards.most_wanted[1]),
+        "repeated_steps": world.shards.repeated,
     }
 
 

@@ -69,14 +69,14 @@ class World:
         other_bytes = body_bytes(layout.sizes) + shape_bytes(layout)
         needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
         self.memory_limit.check(0, needed, f"simulating {self.num_envs} environment(s)")
-        baking = any(isinstance(body.shape, Mesh | Compound) for body in layout.scene_bodies)
+        baking = any(isinstance(shape, Mesh | Compound) for shape in layout.shapes)
         lanes = team_lanes(device, self.num_envs, layout.most_bodies, layout.has_joints)
         start = time.perf_counter()
         load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes])
         self.load_seconds = time.perf_counter() - start
         self.model = build_model(layout, device)
         self.state = initial_state(layout, device)
-        self.start = initial_state(layout, device)
+        self.start = declare.clone(self.state)
         self.sleep_state = declare.allocate(schema.SleepState, layout.sizes, device)
         self.watches: Any = None
         self.running = False

@@ -88,7 +88,7 @@ def _declare(default: float, **declaration: Any) -> Any:
     return field(default=default, metadata={"default": default, **declaration})
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Coefficients:
     """Coefficients of one body, checked. `CoefficientKeywords` has the same names.
 
@@ -129,7 +129,9 @@ class Coefficients:
     def __post_init__(self) -> None:
         """Check all values."""
         for name, coefficient in COEFFICIENTS.items():
-            object.__setattr__(self, name, coefficient.check(getattr(self, name)))
+            value = getattr(self, name)
+            if value is not coefficient.default:
+                object.__setattr__(self, name, coefficient.check(value))
 
 
 class CoefficientKeywords(TypedDict, total=False):

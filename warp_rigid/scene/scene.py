@@ -48,7 +48,7 @@ LIGHTEST, HEAVIEST = 1e-17, 1e15
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Body(Coefficients):
     """One body of a scene, with the attributes of Coefficients in addition to these.
 
@@ -555,9 +555,9 @@ def check_mass(shape: Shape, mass: float) -> None:
         ValueError: One of them is not.
     """
     mass = number_in("mass", mass, LIGHTEST, HEAVIEST)
-    moments = np.linalg.eigvalsh(np.asarray(shape.inertia, dtype=np.float64)) * (mass / float(shape.volume))
-    if not (moments[0] >= _SMALLEST and moments[2] <= LARGEST):
+    least, most = mass * shape.moments[0], mass * shape.moments[2]
+    if not (least >= _SMALLEST and most <= LARGEST):
         raise ValueError(
-            f"mass: {mass:g} kg gives moments of inertia {moments[0]:g} to {moments[2]:g} kg m^2; "
+            f"mass: {mass:g} kg gives moments of inertia {least:g} to {most:g} kg m^2; "
             f"all must be from {_SMALLEST:g} to {LARGEST:g}"
         )

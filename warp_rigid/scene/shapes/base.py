@@ -118,6 +118,11 @@ class Shape:
         """Inertia at unit density about the centre of mass, in the shape's frame, (3, 3) [m^5]."""
         return self.mass_properties.inertia
 
+    @cached_property
+    def moments(self) -> tuple[float, ...]:
+        """Principal moments of inertia of a body of 1 kg, ascending, (3,) [m^2]."""
+        return tuple((np.linalg.eigvalsh(np.asarray(self.inertia, dtype=np.float64)) / self.volume).tolist())
+
     @property
     def mass_properties(self) -> MassProperties:
         """Volume, centre of mass and inertia at unit density."""
