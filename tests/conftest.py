@@ -60,12 +60,16 @@ def pytest_xdist_auto_num_workers(config):
 
 
 def pytest_sessionstart(session):
-    """Compile all kernels in one process before the workers start."""
+    """Compile all kernels in one process before the workers start, at the level of messages that a new user has.
+
+    A warning of the compiler ends the tests: it is seen where a kernel is compiled for the first time.
+    """
     if getattr(session.config.option, "numprocesses", None):
         command = [sys.executable, "-W", "ignore", "-m", "tests.compile_kernels"]
-        done = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL)
-        if done.returncode:
-            pytest.exit("the kernels do not compile", returncode=done.returncode)
+        done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        if done.returncode or "warning:" in done.stdout:
+            print(done.stdout)
+            pytest.exit("the kernels do not compile without warnings", returncode=done.returncode or 1)
 
 
 def untraced(function):

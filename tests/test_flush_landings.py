@@ -48,9 +48,9 @@ def test_an_equal_box_bounces_without_turning(restitution):
 
 @pytest.mark.long
 @pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
-@pytest.mark.parametrize("drop", [0.05, 0.15, 0.5])
+@pytest.mark.parametrize("drop", [0.05, 0.5])
 @pytest.mark.parametrize("ratio", [1, 2])
-@pytest.mark.parametrize("half", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("half", [0.05, 0.2])
 def test_boxes_of_all_sizes_land_flush(half, ratio, drop, dt):
     """A bouncing box may turn by the rounding of its impulses: by 5e-4 rad/s from 0.5 m."""
     for free, friction in itertools.product((False, True), (0.0, 0.6)):

@@ -89,12 +89,11 @@ def test_a_capsule_rolls_over_tiles_much_narrower_than_itself(dt):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("friction", [0.0, 1.0])
-@pytest.mark.parametrize("dt", [1 / 60, 1 / 480])
-@pytest.mark.parametrize("cell", [0.2, 0.1, 0.025, 0.0125])
+@pytest.mark.parametrize(("dt", "friction"), [(1 / 60, 1.0), (1 / 480, 0.0)])
+@pytest.mark.parametrize("cell", [0.2, 0.0125])
 @pytest.mark.parametrize("floor", FLOORS)
 @pytest.mark.parametrize("roller", ROLLERS)
-def test_bodies_roll_over_all_cells_and_balls_at_all_angles(roller, floor, cell, dt, friction, request):
+def test_bodies_roll_over_wide_and_narrow_cells_and_balls_at_all_angles(roller, floor, cell, dt, friction, request):
     if (roller, floor, cell, dt) == ("capsule", "tiles", 0.0125, 1 / 480):
         # A point of a tile's edge beyond its end replaces the contact that carries it: it ends at 1.31 to 1.40 m/s.
         request.applymarker(pytest.mark.xfail(strict=True, reason="braked by up to 13 % on tiles of an eighth of it"))

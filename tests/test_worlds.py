@@ -79,7 +79,7 @@ def test_environments_with_and_without_a_grid_share_a_batch(device, monkeypatch)
     assert_alone(wr.Simulator(made, num_envs=2, device=device), made, 60)
 
 
-@pytest.mark.parametrize("steps", [pytest.param(8, marks=pytest.mark.short), pytest.param(240, marks=pytest.mark.long)])
+@pytest.mark.parametrize("steps", [pytest.param(8, marks=pytest.mark.short), pytest.param(80, marks=pytest.mark.long)])
 def test_all_built_in_scenes_share_a_batch(device, steps):
     sizes = {"bodies": 12, "rings": 6, "bones": 6, "height": 4}
     made = []
