@@ -32,14 +32,12 @@ def land(half, ratio, drop, free, friction, restitution, dt):
     return spin, drift, np.sum((found["body_a"] == body) | (found["body_b"] == body))
 
 
-@pytest.mark.short
 @pytest.mark.parametrize("free", [False, True], ids=["static", "dynamic"])
 def test_an_equal_box_lands_on_four_contacts(free):
     spin, drift, contacts = land(0.1, 1, 0.05, free, 0.6, 0.0, 1 / 240)
     assert (spin < 1e-4, drift < 1e-4, contacts) == (True, True, 4), (spin, drift)
 
 
-@pytest.mark.short
 @pytest.mark.parametrize("restitution", [0.3, 0.6])
 def test_an_equal_box_bounces_without_turning(restitution):
     spin, drift, contacts = land(0.1, 1, 0.15, False, 0.0, restitution, 1 / 240)

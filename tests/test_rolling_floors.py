@@ -70,7 +70,6 @@ def roll(floor, roller, dt, friction, degrees, spin=(0, 0, 0)):
     return sim.get("linear_velocity")[0, body] @ way, jump
 
 
-@pytest.mark.short
 @pytest.mark.parametrize("floor", FLOORS)
 @pytest.mark.parametrize("roller", ROLLERS)
 def test_a_body_rolls_over_a_flat_floor_as_on_a_plane(roller, floor):
@@ -79,7 +78,6 @@ def test_a_body_rolls_over_a_flat_floor_as_on_a_plane(roller, floor):
     assert jump < 1e-4
 
 
-@pytest.mark.short
 @pytest.mark.parametrize("dt", [1 / 60])
 def test_a_capsule_rolls_over_tiles_much_narrower_than_itself(dt):
     """It was stopped by an impact that was not there."""
