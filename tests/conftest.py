@@ -117,9 +117,11 @@ def device(request):
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """Grids of meshes are baked anew, and not into the user's cache."""
+    """Grids of meshes are baked anew, once for all workers, and not into the user's cache."""
     before = os.environ.get("WARP_RIGID_CACHE")
-    os.environ["WARP_RIGID_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    os.environ["WARP_RIGID_CACHE"] = str(shared / "cache")
     yield
     if before is None:
         del os.environ["WARP_RIGID_CACHE"]
