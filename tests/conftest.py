@@ -19,14 +19,22 @@ MOST_WORKERS = 4
 LONGEST = (
     "ahead_of_time",
     "setup",
-    "fuzz",
     "validation",
-    "worlds",
-    "convex",
     "readme",
+    "scene_runs",
+    "rolling_floors",
+    "recipes",
+    "caches",
+    "worlds",
+    "fuzz",
+    "deep_starts",
+    "forgetting",
+    "usd_scene",
     "startup",
     "sweep_costs",
-    "usd_scene",
+    "doctor",
+    "convex",
+    "narrowphase_round",
 )
 """Files that take longest, in this order: the workers begin with them, so that none is left for one worker alone."""
 

@@ -1,5 +1,7 @@
 """Round bodies roll over flat floors of triangles and of tiles as on a plane, at any cell size and time step."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -24,6 +26,7 @@ def field(cell):
     return [(Heightfield(np.zeros((count, count)), (4, 4)), (0, 0, 0))]
 
 
+@cache
 def mesh(cell):
     """A slab with the same triangles on its top."""
     axis = np.linspace(-2, 2, round(4 / cell) + 1)
