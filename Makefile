@@ -21,7 +21,7 @@ PART := public_names packaging simulator determinism cli sweep_files usd_export 
 # One worker a core; the tests of a file stay together, for they share what is costly to make. The longest files first.
 WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test test-all other-pythons other-python-test frameworks browser-test fuzz dist pins locks validate lint docs format clean
+.PHONY: demo test test-all other-pythons other-python-test frameworks environments browser-test fuzz dist pins locks validate lint docs format clean
 
 # Two scenes: films, pictures and a contact sheet in out/.
 demo: $(READY)
@@ -30,8 +30,8 @@ demo: $(READY)
 		--picture $(OUT)/box_stack.png --contact-sheet $(OUT)/box_stack_sheet.png
 	@echo "next: $(BIN)/warp-rigid view seesaw"
 
-# The tests that every change must pass: about 13 minutes on 2 cores. The longest compiles the joints' kernels for a GPU,
-# which takes about 3 minutes of one core. Tests that measure time run last, alone.
+# The tests that every change must pass. The longest compiles the joints' kernels for a GPU, which takes about 3 minutes of
+# one core; Warp's cache keeps the result. Tests that measure time run last, alone.
 test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
 	$(PYTEST) -m "quiet and not long" && exit $$others
@@ -54,6 +54,9 @@ other-python-test: $(READY)
 
 # PyTorch, JAX and gymnasium (6 GB): the tests of their pages run where these are installed.
 frameworks: $(FRAMEWORKS_READY)
+
+# All environments; `make -j 2` installs them side by side.
+environments: $(ROBOTS_READY) $(FRAMEWORKS_READY)
 
 # The viewer in a real page. Needs Debian's package chromium, or CHROMIUM=/path/to/a/chromium.
 browser-test: $(READY) $(ROBOTS_READY)

@@ -19,14 +19,22 @@ MOST_WORKERS = 4
 LONGEST = (
     "ahead_of_time",
     "setup",
-    "fuzz",
     "validation",
-    "worlds",
-    "convex",
     "readme",
+    "scene_runs",
+    "rolling_floors",
+    "recipes",
+    "caches",
+    "worlds",
+    "fuzz",
+    "deep_starts",
+    "forgetting",
+    "usd_scene",
     "startup",
     "sweep_costs",
-    "usd_scene",
+    "doctor",
+    "convex",
+    "narrowphase_round",
 )
 """Files that take longest, in this order: the workers begin with them, so that none is left for one worker alone."""
 
@@ -60,12 +68,16 @@ def pytest_xdist_auto_num_workers(config):
 
 
 def pytest_sessionstart(session):
-    """Compile all kernels in one process before the workers start."""
+    """Compile all kernels in one process before the workers start, at the level of messages that a new user has.
+
+    A warning of the compiler ends the tests: it is seen where a kernel is compiled for the first time.
+    """
     if getattr(session.config.option, "numprocesses", None):
         command = [sys.executable, "-W", "ignore", "-m", "tests.compile_kernels"]
-        done = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL)
-        if done.returncode:
-            pytest.exit("the kernels do not compile", returncode=done.returncode)
+        done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        if done.returncode or "warning:" in done.stdout:
+            print(done.stdout)
+            pytest.exit("the kernels do not compile without warnings", returncode=done.returncode or 1)
 
 
 def untraced(function):
@@ -113,9 +125,11 @@ def device(request):
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """Grids of meshes are baked anew, and not into the user's cache."""
+    """Grids of meshes are baked anew, once for all workers, and not into the user's cache."""
     before = os.environ.get("WARP_RIGID_CACHE")
-    os.environ["WARP_RIGID_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    os.environ["WARP_RIGID_CACHE"] = str(shared / "cache")
     yield
     if before is None:
         del os.environ["WARP_RIGID_CACHE"]

@@ -1,7 +1,7 @@
 """The commands and programs of the pages, cut in size, for tests.
 
-As a program it runs those of the README, the tutorials and the notebooks twice, one after the other, in the working
-folder, with what is installed beside the interpreter: `python tests/pages.py`.
+As a program it runs those of the README, the tutorials and the notebooks, one after the other, in the working folder,
+with what is installed beside the interpreter: `python tests/pages.py`.
 """
 
 import importlib.util
@@ -68,7 +68,7 @@ def notebook_tool() -> ModuleType:
     return module
 
 
-def run_once() -> None:
+def run_all() -> None:
     """Run all; the first exception or failure ends the program."""
     from warp_rigid.commands import cli
 
@@ -89,6 +89,5 @@ def run_once() -> None:
 if __name__ == "__main__":
     close_viewers_at_once(lambda target, new: mock.patch(target, new).start())
     write_scene_files([DOCS / "tutorials.md"], Path())
-    for _ in range(2):
-        run_once()
-    print("ran all twice")
+    run_all()
+    print("ran all")

@@ -37,34 +37,35 @@ def short(unit):
     return unit.removeprefix(f"{kernels.__name__}.")
 
 
-SLOWEST = "settle_joints"
-"""The kernel that takes minutes to assemble; it is compiled to PTX only."""
+ASSEMBLED = {module.__name__ for module in loading.TEAM_MODULES}
+"""Units with inline assembly, which only the assembler checks: it is that of `kernels/common/team.py`. The units of
+joints call the same functions, and take minutes to assemble."""
 
 FORMS = [
-    pytest.param(unit, ptx, id=f"{short(unit)}-{name}", marks=marks)
+    pytest.param(unit, ptx, id=f"{short(unit)}-{name}", marks=marks if unit in ASSEMBLED else ())
     for unit in UNITS
-    for ptx, name, marks in (
-        (True, "compiled", () if unit.endswith(SLOWEST) else pytest.mark.short),
-        (False, "assembled", pytest.mark.long),
-    )
-    if ptx or not unit.endswith(SLOWEST)
+    for ptx, name, marks in ((True, "compiled", pytest.mark.short), (False, "assembled", pytest.mark.long))
+    if ptx or unit in ASSEMBLED
 ]
 
 
 @pytest.mark.parametrize(("unit", "ptx"), FORMS)
-def test_unit_compiles_for_compute_capability_90(unit, ptx, tmp_path):
-    """To PTX, and also to the code of the GPU. Functions that only a CPU calls are inlined."""
-    (binary,) = wp.compile_aot_module(unit, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=ptx)
+def test_unit_compiles_for_compute_capability_90(unit, ptx):
+    """To PTX, or to the code of the GPU. Functions that only a CPU calls are inlined.
+
+    What is compiled stays in Warp's cache: units that have not changed are not compiled again.
+    """
+    (binary,) = wp.compile_aot_module(unit, arch=ARCHITECTURE, use_ptx=ptx)
     assert binary.suffix == (".ptx" if ptx else ".cubin")
     content = binary.read_bytes()
     assert [kernel for kernel in wp.get_module(unit).kernels if f"{kernel}_".encode() not in content] == []
     assert [name for name in (b"part_distance_0", b"find_axis_0", b"leave_0") if name in content] == []
 
 
-def test_kernels_of_teams_are_compiled_for_clusters_of_blocks(tmp_path):
+def test_kernels_of_teams_are_compiled_for_clusters_of_blocks():
     """Kernels with a team for each environment, and no others of their module."""
     (unit,) = loading.units_of(MODULES["support"], GPU, team.CLUSTER)
-    (binary,) = wp.compile_aot_module(unit, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=True)
+    (binary,) = wp.compile_aot_module(unit, arch=ARCHITECTURE, use_ptx=True)
     entries = binary.read_text().split(".entry ")[1:]
     clustered = {entry.split("_cuda_kernel")[0] for entry in entries if ".reqnctapercluster" in entry}
     assert len(entries) == len(kernels_of("support"))

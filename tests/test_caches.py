@@ -42,8 +42,7 @@ def kernels(tmp_path_factory):
     return cache, first[0]
 
 
-@pytest.mark.parametrize("suffix", [".o", ".meta"])
-@pytest.mark.parametrize("damage", ["cut", "empty", "garbage", "bit"])
+@pytest.mark.parametrize(("suffix", "damage"), [(".o", "cut"), (".o", "bit"), (".meta", "empty"), (".meta", "garbage")])
 def test_a_damaged_kernel_is_compiled_again(kernels, suffix, damage):
     cache, expected = kernels
     (file,) = (file for file in cache.rglob(f"*{suffix}") if "capacity" in file.name)

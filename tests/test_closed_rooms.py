@@ -62,6 +62,5 @@ def test_a_body_that_is_hit_on_its_way_stays_in_its_room(seed):
 
 @pytest.mark.long
 @pytest.mark.parametrize("dt", [1 / 60, 1 / 30, 0.1])
-@pytest.mark.parametrize("first", range(0, 200, 20))
-def test_six_hundred_random_rooms_hold(first, dt):
-    assert [seed for seed in range(first, first + 20) if leaks(seed, 40, dt)] == []
+def test_sixty_random_rooms_hold(dt):
+    assert [seed for seed in range(20) if leaks(seed, 40, dt)] == []

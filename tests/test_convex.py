@@ -89,9 +89,9 @@ def test_every_overlap_has_a_contact(device):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("portion", range(13))
-def test_every_overlap_of_a_hundred_thousand_pairs_has_a_contact(device, portion):
-    """78 pairs of kinds, 1300 of each."""
+@pytest.mark.parametrize("portion", range(2))
+def test_every_overlap_of_fifteen_thousand_pairs_has_a_contact(device, portion):
+    """78 pairs of kinds, 200 of each."""
     check_contacts(device, PORTION, seed=100 + portion)
 
 
@@ -156,8 +156,8 @@ def test_overlapping_pairs_come_apart(device):
 
 
 @pytest.mark.long
-def test_a_thousand_overlapping_pairs_of_each_kind_come_apart(device):
-    check_coming_apart(device, 80, seed=3)
+def test_twenty_overlapping_pairs_of_each_kind_come_apart(device):
+    check_coming_apart(device, 20, seed=3)
 
 
 def test_convex_meshes_are_known():

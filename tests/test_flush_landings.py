@@ -32,14 +32,12 @@ def land(half, ratio, drop, free, friction, restitution, dt):
     return spin, drift, np.sum((found["body_a"] == body) | (found["body_b"] == body))
 
 
-@pytest.mark.short
 @pytest.mark.parametrize("free", [False, True], ids=["static", "dynamic"])
 def test_an_equal_box_lands_on_four_contacts(free):
     spin, drift, contacts = land(0.1, 1, 0.05, free, 0.6, 0.0, 1 / 240)
     assert (spin < 1e-4, drift < 1e-4, contacts) == (True, True, 4), (spin, drift)
 
 
-@pytest.mark.short
 @pytest.mark.parametrize("restitution", [0.3, 0.6])
 def test_an_equal_box_bounces_without_turning(restitution):
     spin, drift, contacts = land(0.1, 1, 0.15, False, 0.0, restitution, 1 / 240)
@@ -48,9 +46,9 @@ def test_an_equal_box_bounces_without_turning(restitution):
 
 @pytest.mark.long
 @pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
-@pytest.mark.parametrize("drop", [0.05, 0.15, 0.5])
+@pytest.mark.parametrize("drop", [0.05, 0.5])
 @pytest.mark.parametrize("ratio", [1, 2])
-@pytest.mark.parametrize("half", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("half", [0.05, 0.2])
 def test_boxes_of_all_sizes_land_flush(half, ratio, drop, dt):
     """A bouncing box may turn by the rounding of its impulses: by 5e-4 rad/s from 0.5 m."""
     for free, friction in itertools.product((False, True), (0.0, 0.6)):

@@ -1,5 +1,7 @@
 """Round bodies roll over flat floors of triangles and of tiles as on a plane, at any cell size and time step."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -24,6 +26,7 @@ def field(cell):
     return [(Heightfield(np.zeros((count, count)), (4, 4)), (0, 0, 0))]
 
 
+@cache
 def mesh(cell):
     """A slab with the same triangles on its top."""
     axis = np.linspace(-2, 2, round(4 / cell) + 1)
@@ -70,7 +73,6 @@ def roll(floor, roller, dt, friction, degrees, spin=(0, 0, 0)):
     return sim.get("linear_velocity")[0, body] @ way, jump
 
 
-@pytest.mark.short
 @pytest.mark.parametrize("floor", FLOORS)
 @pytest.mark.parametrize("roller", ROLLERS)
 def test_a_body_rolls_over_a_flat_floor_as_on_a_plane(roller, floor):
@@ -79,7 +81,6 @@ def test_a_body_rolls_over_a_flat_floor_as_on_a_plane(roller, floor):
     assert jump < 1e-4
 
 
-@pytest.mark.short
 @pytest.mark.parametrize("dt", [1 / 60])
 def test_a_capsule_rolls_over_tiles_much_narrower_than_itself(dt):
     """It was stopped by an impact that was not there."""
@@ -89,12 +90,11 @@ def test_a_capsule_rolls_over_tiles_much_narrower_than_itself(dt):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("friction", [0.0, 1.0])
-@pytest.mark.parametrize("dt", [1 / 60, 1 / 480])
-@pytest.mark.parametrize("cell", [0.2, 0.1, 0.025, 0.0125])
+@pytest.mark.parametrize(("dt", "friction"), [(1 / 60, 1.0), (1 / 480, 0.0)])
+@pytest.mark.parametrize("cell", [0.2, 0.0125])
 @pytest.mark.parametrize("floor", FLOORS)
 @pytest.mark.parametrize("roller", ROLLERS)
-def test_bodies_roll_over_all_cells_and_balls_at_all_angles(roller, floor, cell, dt, friction, request):
+def test_bodies_roll_over_wide_and_narrow_cells_and_balls_at_all_angles(roller, floor, cell, dt, friction, request):
     if (roller, floor, cell, dt) == ("capsule", "tiles", 0.0125, 1 / 480):
         # A point of a tile's edge beyond its end replaces the contact that carries it: it ends at 1.31 to 1.40 m/s.
         request.applymarker(pytest.mark.xfail(strict=True, reason="braked by up to 13 % on tiles of an eighth of it"))

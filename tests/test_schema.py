@@ -4,6 +4,7 @@ import ast
 import importlib.util
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -144,78 +145,100 @@ def is_of_integers(name):
     return all(field.dtype is int for field in declare.RECORDS[name].values())
 
 
-def read_all(record, read, source, device):
-    """Records that the device function `read` returns, stored member by member by Warp."""
+def kernel_of(function, key):
+    """A kernel of the module in which those of all records are compiled at once."""
+    module = wp.get_module(f"{__name__}.records")
+    module.options["enable_backward"] = False
+    return wp.Kernel(function, key=key, module=module)
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def copy(source: wp.array[record], target: wp.array[record]):
-        """Read a record."""
+
+def copies(name, read, write, key):
+    """Kernels that copy records with a device function: read by `read`, and written by `write`, if there is one."""
+    record = declare.STRUCTS[name]
+
+    def copy_read(source: wp.array[record], target: wp.array[record]):
         row = wp.tid()
         target[row] = read(row, source)
 
-    given = wp.array(source, dtype=record, device=device)
-    target = wp.zeros(len(source), dtype=record, device=device)
-    wp.launch(copy, len(source), [given], [target], device=device)
-    return target.numpy()
-
-
-def write_all(record, write, source, device):
-    """Records that the device function `write` stores, loaded member by member by Warp."""
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def copy(source: wp.array[record], target: wp.array[record]):
-        """Write a record."""
+    def copy_written(source: wp.array[record], target: wp.array[record]):
         row = wp.tid()
         write(row, source[row], target)
 
+    return kernel_of(copy_read, f"read_{key}"), write and kernel_of(copy_written, f"write_{key}")
+
+
+def copies_of_groups(name):
+    """Kernels that read all groups of records, and, unless they are of integers, write one."""
+    record = declare.STRUCTS[name]
+    four = wp.vec4i if is_of_integers(name) else wp.vec4
+    read = declare.group_reader(record)
+
+    def copy(source: wp.array[record], target: wp.array2d[four]):
+        row, group = wp.tid()
+        target[row, group] = read(source, row, group)
+
+    if is_of_integers(name):
+        return kernel_of(copy, f"groups_{name}"), None
+    write = declare.group_writer(record)
+
+    def change(group: int, target: wp.array[record]):
+        row = wp.tid()
+        write(target, row, group, wp.vec3(1.5, float(row), -2.0), float(group))
+
+    return kernel_of(copy, f"groups_{name}"), kernel_of(change, f"change_{name}")
+
+
+@pytest.fixture(scope="module")
+def made():
+    """The kernels that read and write packed records, by name: whole ones, groups, and contacts with a flag."""
+    whole = {
+        name: copies(
+            name,
+            declare.record_reader(declare.STRUCTS[name]),
+            None if is_of_integers(name) else declare.record_writer(declare.STRUCTS[name]),
+            name,
+        )
+        for name in declare.PACKED
+    }
+    groups = {name: copies_of_groups(name) for name in declare.PACKED}
+    contacts = copies("ContactRecord", contact.read_contact, contact.write_contact, "contact")
+    return SimpleNamespace(whole=whole, groups=groups, contacts=contacts)
+
+
+def copied(kernel, name, source, device):
+    """Records that a kernel copies; what its device function does not do, Warp does member by member."""
+    record = declare.STRUCTS[name]
     given = wp.array(source, dtype=record, device=device)
     target = wp.zeros(len(source), dtype=record, device=device)
-    wp.launch(copy, len(source), [given], [target], device=device)
+    wp.launch(kernel, len(source), [given], [target], device=device)
     return target.numpy()
 
 
 @pytest.mark.parametrize("name", declare.PACKED)
-def test_packed_records_are_read_and_written_whole(name, device):
-    record, records = declare.STRUCTS[name], random_records(name, seed=1)
-    np.testing.assert_array_equal(read_all(record, declare.record_reader(record), records, device), records)
-    if not is_of_integers(name):
-        np.testing.assert_array_equal(write_all(record, declare.record_writer(record), records, device), records)
+def test_packed_records_are_read_and_written_whole(name, device, made):
+    records = random_records(name, seed=1)
+    for kernel in filter(None, made.whole[name]):
+        np.testing.assert_array_equal(copied(kernel, name, records, device), records)
 
 
 @pytest.mark.parametrize("name", declare.PACKED)
-def test_groups_are_the_words_of_a_record(name, device):
+def test_groups_are_the_words_of_a_record(name, device, made):
     record, records = declare.STRUCTS[name], random_records(name, seed=2)
     word, four = (np.int32, wp.vec4i) if is_of_integers(name) else (np.float32, wp.vec4)
     words = records.view(word).reshape(ROWS, -1, 4)
-    read = declare.group_reader(record)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def copy(source: wp.array[record], target: wp.array2d[four]):
-        """Read a group."""
-        row, group = wp.tid()
-        target[row, group] = read(source, row, group)
-
     given = wp.array(records, dtype=record, device=device)
     target = wp.zeros(words.shape[:2], dtype=four, device=device)
-    wp.launch(copy, words.shape[:2], [given], [target], device=device)
+    wp.launch(made.groups[name][0], words.shape[:2], [given], [target], device=device)
     np.testing.assert_array_equal(target.numpy(), words)
 
 
 @pytest.mark.parametrize("name", [name for name in declare.PACKED if not is_of_integers(name)])
-def test_a_group_is_written_alone(name, device):
+def test_a_group_is_written_alone(name, device, made):
     record, records = declare.STRUCTS[name], random_records(name, seed=3)
     groups = records.dtype.itemsize // 16
-    write = declare.group_writer(record)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def change(group: int, target: wp.array[record]):
-        """Write a group."""
-        row = wp.tid()
-        write(target, row, group, wp.vec3(1.5, float(row), -2.0), float(group))
-
     for group in {0, groups // 2, groups - 1}:
         target = wp.array(records, dtype=record, device=device)
-        wp.launch(change, ROWS, [group], [target], device=device)
+        wp.launch(made.groups[name][1], ROWS, [group], [target], device=device)
         expected = records.copy().view(np.float32).reshape(ROWS, -1, 4)
         expected[:, group] = [[1.5, row, -2.0, group] for row in range(ROWS)]
         found = target.numpy().view(np.float32).reshape(ROWS, -1, 4)
@@ -232,7 +255,7 @@ def test_the_optional_members_of_a_contact_are_the_last_ones():
 
 
 @pytest.mark.parametrize("name", OPTIONAL)
-def test_a_contact_notes_whether_it_has_optional_members(name, device):
+def test_a_contact_notes_whether_it_has_optional_members(name, device, made):
     """One optional member of every second record is not 0, in one component; the flag follows from the members."""
     records = random_records("ContactRecord", seed=4)
     for other in OPTIONAL:
@@ -242,21 +265,22 @@ def test_a_contact_notes_whether_it_has_optional_members(name, device):
         records[name][some, some % 3] = -0.25
     else:
         records[name][some] = 0.25
-    written = write_all(schema.ContactRecord, contact.write_contact, records, device)
+    read, write = made.contacts
+    written = copied(write, "ContactRecord", records, device)
     expected = records.copy()
     expected["more"] = np.arange(ROWS) % 2 == 0
     np.testing.assert_array_equal(written, expected)
-    np.testing.assert_array_equal(read_all(schema.ContactRecord, contact.read_contact, written, device), expected)
+    np.testing.assert_array_equal(copied(read, "ContactRecord", written, device), expected)
 
 
-def test_a_contact_without_the_flag_has_optional_members_of_0(device):
+def test_a_contact_without_the_flag_has_optional_members_of_0(device, made):
     """What an earlier contact left in the memory behind the flag is not read."""
     records = random_records("ContactRecord", seed=5)
     records["more"] = np.arange(ROWS) % 2
     expected = records.copy()
     for name in OPTIONAL:
         expected[name][::2] = 0.0
-    np.testing.assert_array_equal(read_all(schema.ContactRecord, contact.read_contact, records, device), expected)
+    np.testing.assert_array_equal(copied(made.contacts[0], "ContactRecord", records, device), expected)
 
 
 def scene_with_filters_and_moving_ground(moving):
@@ -337,9 +361,9 @@ def repeated_members(source):
     return found
 
 
-@pytest.mark.parametrize("file", KERNELS, ids=lambda file: file.relative_to(ROOT).as_posix())
-def test_a_member_of_an_enumeration_is_not_written_again(file):
-    assert file.name == "enums.py" or repeated_members(file.read_text()) == []
+def test_a_member_of_an_enumeration_is_not_written_again():
+    found = {file.name: repeated_members(file.read_text()) for file in KERNELS if file.name != "enums.py"}
+    assert {name: members for name, members in found.items() if members} == {}
 
 
 @pytest.mark.parametrize(

@@ -101,19 +101,3 @@ def test_a_program_prints_only_what_it_says(program, tmp_path):
         [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, b"said\n", b"")
-
-
-@pytest.mark.long
-def test_compilation_prints_no_warning(tmp_path):
-    """All kernels for the CPU, into an empty cache, at the level of messages that a new user has."""
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-m", "tests.compile_kernels", "cpu"],
-        cwd=ROOT,
-        env={**os.environ, KERNELS: str(tmp_path)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=True,
-    )
-    assert len([*tmp_path.glob("*/wp_*/*.meta")]) >= len(STEP), "the kernels were not compiled into the empty cache"
-    assert [line for line in done.stdout.splitlines() if "warning:" in line] == []
