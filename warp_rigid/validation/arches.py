@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 
 from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.parts import on_ground
 from warp_rigid.validation.case import OUTCOME, Check, Curve, ValidationCase, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment, Trace
-from warp_rigid.validation.parts import on_ground
 from warp_rigid.validation.towers import card_house_scene, pyramid_scene
 
 RADIUS = 5.0

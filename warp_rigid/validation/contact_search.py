@@ -10,8 +10,8 @@ from warp_rigid import rotations
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scenes.builders.assortment import CONVEX_KINDS, convex_solid
+from warp_rigid.scenes.builders.parts import body, in_space
 from warp_rigid.validation.case import Check, ValidationCase, at_most, case
-from warp_rigid.validation.parts import body, in_space
 
 POLYHEDRA = tuple(kind for kind in CONVEX_KINDS if kind != "sphere")
 """Kinds whose overlap separating axes give exactly."""

@@ -10,10 +10,10 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Sphere
+from warp_rigid.scenes.builders.parts import body, in_space, static
 from warp_rigid.validation.case import Check, Curve, ValidationCase, absolute, case, measured, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
-from warp_rigid.validation.parts import body, in_space, static
 
 HALF = 0.1
 BELTS = ((0.5, 0.3), (1.0, 0.5), (2.0, 0.5), (2.0, 0.8))

@@ -4,6 +4,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders.parts import body, in_space
 from warp_rigid.validation.case import (
     Check,
     Curve,
@@ -18,7 +19,6 @@ from warp_rigid.validation.case import (
 )
 from warp_rigid.validation.common import G, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
-from warp_rigid.validation.parts import body, in_space
 
 EULER = "Euler's equations, closed form"
 FLAT = 1e-3

@@ -5,6 +5,7 @@ import numpy as np
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.scenes.builders.parts import body, on_ground
 from warp_rigid.validation.case import (
     OUTCOME,
     Check,
@@ -18,7 +19,6 @@ from warp_rigid.validation.case import (
 )
 from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
-from warp_rigid.validation.parts import body, on_ground
 from warp_rigid.validation.solids import cube
 
 COULOMB = "Coulomb's law, closed form"

@@ -4,6 +4,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
+from warp_rigid.scenes.builders.parts import body, in_space, on_ground
 from warp_rigid.validation.case import (
     OUTCOME,
     Check,
@@ -17,7 +18,6 @@ from warp_rigid.validation.case import (
 )
 from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start
-from warp_rigid.validation.parts import body, in_space, on_ground
 
 NEWTON = "Newton's law of impact, closed form"
 RATES = (60, 240, 1000)

@@ -6,10 +6,10 @@ import numpy as np
 
 from warp_rigid.scenes.builders import piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
+from warp_rigid.scenes.builders.parts import on_ground
 from warp_rigid.validation.case import AT_LEAST, Check, Curve, Miss, ValidationCase, at_most, case, each, measured
 from warp_rigid.validation.common import per_env
 from warp_rigid.validation.experiment import Experiment
-from warp_rigid.validation.parts import on_ground
 
 
 def cases(quick: bool) -> list[ValidationCase]:

@@ -6,6 +6,7 @@ from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh, Sphere
 from warp_rigid.scenes.builders import meshes
+from warp_rigid.scenes.builders.parts import body, in_space, on_ground, static
 from warp_rigid.validation import solids
 from warp_rigid.validation.case import (
     AT_LEAST,
@@ -22,7 +23,6 @@ from warp_rigid.validation.case import (
 )
 from warp_rigid.validation.common import NO_GRAVITY, G, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
-from warp_rigid.validation.parts import body, in_space, on_ground, static
 from warp_rigid.validation.towers import tilt
 
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"

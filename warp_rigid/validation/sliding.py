@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Compound, Sphere
+from warp_rigid.scenes.builders.parts import body, on_ground
 from warp_rigid.validation.case import Check, Curve, ValidationCase, case, each, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import Experiment, Start, Trace
-from warp_rigid.validation.parts import body, on_ground
 
 MU = 0.3
 RING_RADIUS, FOOT_RADIUS = 0.5, 0.005

@@ -5,9 +5,9 @@ import numpy as np
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Heightfield, Sphere
 from warp_rigid.scenes.builders.grounds import EARTH
+from warp_rigid.scenes.builders.parts import body, in_space, static
 from warp_rigid.validation.case import ValidationCase, absolute, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment
-from warp_rigid.validation.parts import body, in_space, static
 
 RADIUS, SPEED = 0.05, 1.5
 HALF, SPIN = 0.05, 2.0

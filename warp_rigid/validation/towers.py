@@ -12,6 +12,7 @@ from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders import grounds, piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.scenes.builders.parts import body, on_ground
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
@@ -26,7 +27,6 @@ from warp_rigid.validation.case import (
 )
 from warp_rigid.validation.common import G, largest_rise
 from warp_rigid.validation.experiment import Experiment, Start, Trace
-from warp_rigid.validation.parts import body, on_ground
 
 STATICS = "statics, closed form"
 MODES = ("two_pass", "one_pass", "off")
@@ -63,7 +63,7 @@ def stack_scene(count: int, half: float = HALF, friction: float = 0.5) -> Scene:
 def pyramid_scene(rows: int) -> Scene:
     """A pyramid of cubes of 0.2 m on level ground."""
     scene = level_scene()
-    stacks.add_pyramid(scene, rows)
+    add_bodies(scene, stacks.CUBE, stacks.pyramid(rows))
     return scene
 
 

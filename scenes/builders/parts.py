@@ -1,13 +1,12 @@
-"""Scenes of cases as a list of parts, each of which is a function that adds something to a scene."""
+"""Scenes as lists of parts, each of which is a function that adds something to a scene."""
 
 from collections.abc import Callable
 from operator import methodcaller
 from typing import Any
 
-from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.scene import Scene, Vector
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.common import NO_GRAVITY
 
 
 def on_ground(*parts: Callable[[Scene], Any], **ground: Any) -> Callable[[], Scene]:
@@ -15,7 +14,7 @@ def on_ground(*parts: Callable[[Scene], Any], **ground: Any) -> Callable[[], Sce
     return lambda: _with_parts(level_scene(**ground), parts)
 
 
-def in_space(*parts: Callable[[Scene], Any], gravity=NO_GRAVITY) -> Callable[[], Scene]:
+def in_space(*parts: Callable[[Scene], Any], gravity: Vector = (0.0, 0.0, 0.0)) -> Callable[[], Scene]:
     """A function that builds a scene: the parts in their order, without ground."""
     return lambda: _with_parts(Scene(gravity=gravity), parts)
 
