@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.scenes.builders import stacks
 from warp_rigid.scenes.builders.parts import on_ground
-from warp_rigid.validation.case import OUTCOME, Check, Curve, ValidationCase, at_most, case, measured
+from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment, Trace
 from warp_rigid.validation.towers import card_house_scene, pyramid_scene
 
@@ -16,7 +16,7 @@ RATES = (60, 120, 240, 480)
 """Steps per second."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; fewer time steps and shorter if quick."""
     return [arches(RATES[:1] if quick else RATES, 2.0 if quick else 10.0), *climbing(quick)]
 

@@ -11,7 +11,7 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scenes.builders.assortment import CONVEX_KINDS, convex_solid
 from warp_rigid.scenes.builders.parts import body, in_space
-from warp_rigid.validation.case import Check, ValidationCase, at_most, case
+from warp_rigid.validation.case import Cases, Check, at_most, case
 
 POLYHEDRA = tuple(kind for kind in CONVEX_KINDS if kind != "sphere")
 """Kinds whose overlap separating axes give exactly."""
@@ -23,7 +23,7 @@ CHUNK = 2000
 """Pairs whose axes are projected at a time."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; fewer pairs if quick."""
     if quick:
         return [contacts_found(100, ("cube", "tetrahedron", "cylinder")), pairs_part(50, ("tetrahedron", "cylinder"))]

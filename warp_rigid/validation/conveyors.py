@@ -11,7 +11,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Sphere
 from warp_rigid.scenes.builders.parts import body, in_space, static
-from warp_rigid.validation.case import Check, Curve, ValidationCase, absolute, case, measured, relative
+from warp_rigid.validation.case import Cases, Check, Curve, absolute, case, measured, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
@@ -24,7 +24,7 @@ RADIUS, FOOT, PLATE_FRICTION, PLATE_TIME = 0.3, 0.005, 0.3, 0.35
 """Of a plate on three feet: distance of the feet from its centre and their radius [m], friction, time compared [s]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; at one time step if quick."""
     return [parcels((DT,) if quick else (1 / 60, DT, 1 / 960)), stack(), plate_across_the_edge()]
 

@@ -5,18 +5,7 @@ import numpy as np
 from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders.parts import body, in_space
-from warp_rigid.validation.case import (
-    Check,
-    Curve,
-    Miss,
-    ValidationCase,
-    absolute,
-    at_most,
-    case,
-    each,
-    measured,
-    relative,
-)
+from warp_rigid.validation.case import Cases, Check, Curve, Miss, absolute, at_most, case, each, measured, relative
 from warp_rigid.validation.common import G, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
@@ -31,7 +20,7 @@ BRICK = Box((np.sqrt(2.0), 1.0, FLAT))
 """Moments of inertia as 1 : 2 : 3."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; shorter if quick."""
     return [
         symmetric_top("plate, I 1 : 1 : 2", PLATE),

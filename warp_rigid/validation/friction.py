@@ -6,17 +6,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.scenes.builders.parts import body, on_ground
-from warp_rigid.validation.case import (
-    OUTCOME,
-    Check,
-    Curve,
-    ValidationCase,
-    absolute,
-    at_most,
-    case,
-    measured,
-    relative,
-)
+from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
 from warp_rigid.validation.solids import cube
@@ -25,7 +15,7 @@ COULOMB = "Coulomb's law, closed form"
 CUBE, SLAB, SMALL = Box((0.5, 0.5, 0.5)), Box((0.2, 0.2, 0.05)), Box((0.05, 0.05, 0.05))
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """Cases of sliding; shorter if quick."""
     return [
         sticks(5.0),

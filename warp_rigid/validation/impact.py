@@ -5,17 +5,7 @@ import numpy as np
 from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
 from warp_rigid.scenes.builders.parts import body, in_space, on_ground
-from warp_rigid.validation.case import (
-    OUTCOME,
-    Check,
-    Curve,
-    ValidationCase,
-    absolute,
-    at_most,
-    case,
-    measured,
-    relative,
-)
+from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start
 
@@ -24,7 +14,7 @@ RATES = (60, 240, 1000)
 """Steps per second at which the bounces are measured."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; shorter and fewer if quick."""
     listed = [
         bounce_heights(),

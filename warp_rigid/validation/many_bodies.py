@@ -7,12 +7,12 @@ import numpy as np
 from warp_rigid.scenes.builders import piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.parts import on_ground
-from warp_rigid.validation.case import AT_LEAST, Check, Curve, Miss, ValidationCase, at_most, case, each, measured
+from warp_rigid.validation.case import AT_LEAST, Cases, Check, Curve, Miss, at_most, case, each, measured
 from warp_rigid.validation.common import per_env
 from warp_rigid.validation.experiment import Experiment
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; only the bin, with fewer boxes, is quick."""
     if quick:
         return [bins_of_boxes(64, 8)]

@@ -11,10 +11,10 @@ from warp_rigid.validation import solids
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
+    Cases,
     Check,
     Curve,
     Miss,
-    ValidationCase,
     absolute,
     at_most,
     case,
@@ -34,7 +34,7 @@ OVER = 1e-4
 """Initial gap below a dropped tip [m]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; only the fast ones if quick."""
     listed = [sliding_tips(), tips_on_tips(), internal_edges(0.5 if quick else 2.0), push_out()]
     if quick:

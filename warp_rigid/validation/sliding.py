@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.scene.shapes import Box, Compound, Sphere
 from warp_rigid.scenes.builders.parts import body, on_ground
-from warp_rigid.validation.case import Check, Curve, ValidationCase, case, each, relative
+from warp_rigid.validation.case import Cases, Check, Curve, case, each, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
@@ -20,7 +20,7 @@ STOPPED = 2e-3
 """Speed below which a body counts as stopped, of its centre and of its feet by the spin [m/s]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; fewer feet if quick."""
     return [rings((3, 24) if quick else (3, 6, 12, 24)), box_on_four_corners()]
 

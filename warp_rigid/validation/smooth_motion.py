@@ -6,7 +6,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Heightfield, Sphere
 from warp_rigid.scenes.builders.grounds import EARTH
 from warp_rigid.scenes.builders.parts import body, in_space, static
-from warp_rigid.validation.case import ValidationCase, absolute, at_most, case, measured
+from warp_rigid.validation.case import Cases, ValidationCase, absolute, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment
 
 RADIUS, SPEED = 0.05, 1.5
@@ -15,7 +15,7 @@ PLACES = (0.2, 0.4, 0.6, 0.9)
 """Distances of the boxes on a turntable from its axis, below the friction limit of 1.23 m [m]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; fewer time steps if quick."""
     steps = (1 / 60, 1 / 240) if quick else (1 / 60, 1 / 120, 1 / 240, 1 / 480)
     return [rolling(steps), flush_landing(), turntable(steps, 2.0 if quick else 10.0)]

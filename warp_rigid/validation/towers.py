@@ -16,9 +16,9 @@ from warp_rigid.scenes.builders.parts import body, on_ground
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
+    Cases,
     Check,
     Curve,
-    ValidationCase,
     absolute,
     at_most,
     case,
@@ -36,7 +36,7 @@ OWN = 1e-4
 """Permitted displacement of a stack [m]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; lower and shorter if quick."""
     listed = [
         heavy_on_light(1.0 if quick else 10.0),
