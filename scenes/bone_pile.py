@@ -17,7 +17,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment, grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, Demo, OverlapOutcome, Verdict, indices, outside, vary_starts
+from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, Demo, OverlapOutcome, Verdict, outside, vary_starts
 
 SURFACE: dict[str, Any] = {"friction": 0.4, "restitution": 0.3, "rolling_friction": 0.003}
 DENSITY = 1500.0
@@ -108,18 +108,14 @@ def _funnel(bones):
 class BonesOutcome(OverlapOutcome):
     """Whether all bones fell through the funnel into the plot and none overlaps another."""
 
-    def __init__(self, scene):
-        """Find the bones."""
-        super().__init__()
-        self.bones = indices(scene, "bone_")
-        self.inner = _plot_half(len(self.bones))
-        self.opening = _opening_height(len(self.bones))
+    prefix = "bone_"
 
     def verdicts(self, sim):
         """Bones that left the plot, bones still in the funnel, and overlap."""
-        above = sim.get("center_of_mass")[:, self.bones, 2] > self.opening
-        left, waiting = (outside(sim, self.bones, self.inner) & ~above).sum(axis=1), above.sum(axis=1)
-        through = SOUND if len(self.bones) <= 100 else {}
+        count = len(self.bodies)
+        above = sim.get("center_of_mass")[:, self.bodies, 2] > _opening_height(count)
+        left, waiting = (outside(sim, self.bodies, _plot_half(count)) & ~above).sum(axis=1), above.sum(axis=1)
+        through = SOUND if count <= 100 else {}
         return [
             Verdict("escaped", left, "no bone outside the plot", left == 0),
             Verdict("waiting", waiting, "no bone above the funnel's lower opening", waiting == 0, through),

@@ -58,12 +58,13 @@ def events(scene):
 class StackOutcome(OverlapOutcome):
     """Accuracy of the stack before the hit, and its motion after the hit."""
 
+    prefix = "box_"
+
     def __init__(self, scene):
         """Compute the exact heights of the boxes at rest."""
-        super().__init__()
-        self.boxes = indices(scene, "box_")
-        self.movable = self.boxes + indices(scene, "projectile")
-        self.ideal = PLATFORM_TOP + HALF * (2.0 * np.arange(len(self.boxes)) + 1.0)
+        super().__init__(scene)
+        self.movable = self.bodies + indices(scene, "projectile")
+        self.ideal = PLATFORM_TOP + HALF * (2.0 * np.arange(len(self.bodies)) + 1.0)
         self.depth = self.drift = self.sink = 0.0
         self.top = None
 
@@ -75,7 +76,7 @@ class StackOutcome(OverlapOutcome):
         self.depth = np.maximum(self.depth, sim.penetration())
         if sim.time < LAUNCH_TIME - 1.0:
             return
-        position = sim.get("position")[:, self.boxes].astype(np.float64)
+        position = sim.get("position")[:, self.bodies].astype(np.float64)
         sideways = np.linalg.norm(position[..., :2], axis=-1).max(axis=1)
         self.drift = np.maximum(self.drift, sideways)
         self.sink = np.maximum(self.sink, np.abs(position[..., 2] - self.ideal).max(axis=1))
@@ -86,7 +87,7 @@ class StackOutcome(OverlapOutcome):
         if self.top is None:
             return []
         stands = {"default": True, "one_pass": True}
-        if len(self.boxes) >= ENOUGH_TO_FALL:
+        if len(self.bodies) >= ENOUGH_TO_FALL:
             stands["off"] = False
         verdicts = [
             below("drift", self.drift, 1e-3, "drift < 1 mm before the hit", stands),
@@ -94,7 +95,7 @@ class StackOutcome(OverlapOutcome):
             below("depth", self.depth, 1e-3, "overlap < 1 mm at any time before the hit", stands),
         ]
         if sim.time > LAUNCH_TIME + 1.0:
-            moved = np.linalg.norm(sim.get("position")[:, self.boxes[-1]] - self.top, axis=-1)
+            moved = np.linalg.norm(sim.get("position")[:, self.bodies[-1]] - self.top, axis=-1)
             hit = {"default": True, "one_pass": True}
             verdicts += [
                 Verdict("thrown", moved, "hit moves the top box by > 0.2 m", moved > 0.2, hit, "m"),

@@ -74,7 +74,7 @@ class BridgeOutcome(ClosedJointsOutcome):
 
     def __init__(self, scene):
         """Find the load."""
-        super().__init__()
+        super().__init__(scene)
         self.load = len(scene.bodies) - 1
         planks = self.load
         span = planks * SPACING / SLACK

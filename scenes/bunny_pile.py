@@ -8,16 +8,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import (
-    ONE_PASS_2003,
-    Demo,
-    OverlapOutcome,
-    Verdict,
-    indices,
-    outside,
-    rest_verdict,
-    vary_starts,
-)
+from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, OverlapOutcome, Verdict, outside, rest_verdict, vary_starts
 
 
 def build(bodies: int = 8, seed: int = 1000) -> Scene:
@@ -40,21 +31,17 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
 class PileOutcome(OverlapOutcome):
     """Whether all bunnies came to rest in the box and none overlaps another."""
 
-    def __init__(self, scene):
-        """Find the bunnies."""
-        super().__init__()
-        self.bunnies = indices(scene, "bunny_")
-        self.inner = piles.inner_half(len(self.bunnies))
+    prefix = "bunny_"
 
     def verdicts(self, sim):
         """Bunnies outside the box, overlap, and speed at the end."""
-        left = outside(sim, self.bunnies, self.inner).sum(axis=1)
+        left = outside(sim, self.bodies, piles.inner_half(len(self.bodies))).sum(axis=1)
         return [
             Verdict("escaped", left, "no bunny outside the box", left == 0),
             # Six seeds: 2.3 to 5.1 mm while the bunnies land, in steps of up to 17 mm. At rest, 0.06 to 0.15 mm remain
             # between the samples at which contacts are made.
             *self.overlap_verdicts(sim, 2e-4, 0.01),
-            rest_verdict(sim, self.bunnies),
+            rest_verdict(sim, self.bodies),
         ]
 
 

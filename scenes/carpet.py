@@ -11,7 +11,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 from warp_rigid.scenes.builders import assortment, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import SOUND, Demo, OverlapOutcome, Verdict, indices, vary_starts
+from warp_rigid.scenes.demo import SOUND, Demo, OverlapOutcome, Verdict, above_heightfield, vary_starts
 
 EXTENT = 30.0
 VERTICES = 61
@@ -59,8 +59,7 @@ class CarpetOutcome(OverlapOutcome):
 
     def __init__(self, scene):
         """Find the bodies."""
-        super().__init__()
-        self.bodies = indices(scene, "body_")
+        super().__init__(scene)
         self.reach = np.array([np.linalg.norm(scene.bodies[i].shape.surface()[0], axis=1).max() for i in self.bodies])
         self.throws = bool(scene.bodies[0].shape.amplitude.max() * FREQUENCY**2 > 1.1 * 9.81)
         self.sunk = self.flight = self.speed = self.frames = 0
@@ -68,12 +67,7 @@ class CarpetOutcome(OverlapOutcome):
     def observe(self, sim):
         """Record overlap, the largest clearance above the ground, the mean speed, and the bodies below the ground."""
         super().observe(sim)
-        position = sim.get("center_of_mass")[:, self.bodies]
-        places = position[..., :2].reshape(-1, 2)
-        ground = sim.scene.bodies[0].shape
-        height = position[..., 2] - ground.height_at(places, sim.time).reshape(position.shape[:2])
-        # A position that is NaN counts as below the ground.
-        here = (height > 0.0) & (np.abs(position[..., :2]).max(axis=-1) < 0.5 * EXTENT)
+        height, here = above_heightfield(sim, self.bodies, 0.5 * EXTENT, sim.time)
         self.sunk = np.maximum(self.sunk, (~here).sum(axis=1))
         if sim.time > 1.0:
             self.flight = np.maximum(self.flight, (height - self.reach).max(axis=1))

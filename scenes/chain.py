@@ -48,15 +48,9 @@ def build(links: int = 100, ratio: float = 1000.0, speed: float = 1.0) -> Scene:
 class ChainOutcome(ClosedJointsOutcome):
     """How far the joints open."""
 
-    def __init__(self, scene):
-        """Nothing has been seen yet."""
-        super().__init__()
-
     def verdicts(self, sim):
         """The largest gap so far."""
-        if self.opened is None:
-            return []
-        return [self.closed_verdict(1e-4)]
+        return [] if self.opened is None else [self.closed_verdict(1e-4)]
 
 
 DEMO = Demo(

@@ -178,6 +178,17 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
     return smallest
 
 
+def above_heightfield(sim: Any, bodies: list[int], half: float, time: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of bodies above the height field of body 0 at a time [m], and whether they are above it, (envs, bodies).
+
+    Bodies outside a square of half a width [m], and those whose position is NaN, are not above it.
+    """
+    place = sim.get("center_of_mass")[:, bodies]
+    ground = sim.scene.bodies[0].shape.height_at(place[..., :2].reshape(-1, 2), time)
+    height = place[..., 2] - ground.reshape(place.shape[:2])
+    return height, (height > 0.0) & (np.abs(place[..., :2]).max(axis=-1) < half)
+
+
 def outside(sim: Any, bodies: list[int], half: float) -> np.ndarray:
     """Whether bodies are below z = 0 or outside a square of half a width [m], (envs, bodies); true where NaN."""
     place = sim.get("center_of_mass")[:, bodies]
@@ -195,13 +206,18 @@ class OverlapOutcome:
     """Base of the outcomes that judge the overlap of the whole film.
 
     Attributes:
+        prefix: of the names of the bodies that a scene judges.
+        bodies: their indices.
         recent: (time, deepest overlap of each environment) of the frames within LASTING [s, m].
         lasting: deepest overlap that lasted for LASTING [m].
         deepest: deepest overlap at any time [m].
     """
 
-    def __init__(self) -> None:
-        """Nothing is observed yet."""
+    prefix = "body_"
+
+    def __init__(self, scene: Scene) -> None:
+        """Find the bodies."""
+        self.bodies = indices(scene, self.prefix)
         self.recent: list = []
         self.lasting: Any = 0.0
         self.deepest: Any = 0.0
@@ -226,6 +242,18 @@ class OverlapOutcome:
             below("deepest", np.maximum(self.deepest, now), deepest, at_any_time, expected),
         ]
 
+    def settled_verdicts(self, sim: Any, lasting: float, deepest: float) -> list[Verdict]:
+        """Verdicts: all bodies are at rest now with a contact for each, and those of `overlap_verdicts`."""
+        count = len(self.bodies)
+        resting = (surface_speed(sim, self.bodies) < AT_REST).sum(axis=1)
+        contacts = np.bincount(sim.contacts()["env"], minlength=sim.num_envs)
+        text = f"all {count} bodies at rest at the end, no point faster than {AT_REST:g} m/s"
+        return [
+            Verdict("resting", resting, text, resting == count),
+            Verdict("contacts", contacts, "at least one contact per body at the end", contacts >= count),
+            *self.overlap_verdicts(sim, lasting, deepest),
+        ]
+
 
 def surface_speed(sim: Any, bodies: list[int]) -> np.ndarray:
     """Upper bound of the speed of all points of each body, (envs, bodies) [m/s]."""
@@ -240,16 +268,3 @@ def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND)
     """Verdict: no point of a body moves faster than AT_REST now."""
     speed = surface_speed(sim, bodies).max(axis=1)
     return below("speed", speed, AT_REST, f"no point faster than {AT_REST:g} m/s at the end", expected, "m/s")
-
-
-def resting_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND) -> Verdict:
-    """Verdict: all bodies are at rest now; the value is the number of resting bodies."""
-    resting = (surface_speed(sim, bodies) < AT_REST).sum(axis=1)
-    text = f"all {len(bodies)} bodies at rest at the end, no point faster than {AT_REST:g} m/s"
-    return Verdict("resting", resting, text, resting == len(bodies), expected)
-
-
-def contacts_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND) -> Verdict:
-    """Verdict: there are at least as many contacts as bodies now."""
-    contacts = np.bincount(sim.contacts()["env"], minlength=sim.num_envs)
-    return Verdict("contacts", contacts, "at least one contact per body at the end", contacts >= len(bodies), expected)

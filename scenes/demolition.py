@@ -65,7 +65,7 @@ class DemolitionOutcome(ClosedJointsOutcome):
 
     def __init__(self, scene):
         """Note the wall."""
-        super().__init__()
+        super().__init__(scene)
         self.bricks = indices(scene, "brick")
         self.start = np.array([scene.bodies[brick].position for brick in self.bricks])
 

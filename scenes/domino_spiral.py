@@ -11,7 +11,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, indices
+from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict
 
 HALF = (0.016, 0.06, 0.18)
 """Half of a domino's thickness, width and height [m]."""
@@ -75,15 +75,16 @@ def spiral(count: int, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
 class DominoOutcome(OverlapOutcome):
     """Which dominoes fall, in which order, and how fast the wave runs."""
 
+    prefix = "domino_"
+
     def __init__(self, scene):
         """Find the dominoes and whether the first one must fall."""
-        super().__init__()
-        self.dominoes = indices(scene, "domino_")
-        position = np.array([scene.bodies[i].position for i in self.dominoes])[:, :2]
+        super().__init__(scene)
+        position = np.array([scene.bodies[i].position for i in self.bodies])[:, :2]
         steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
         self.along = np.concatenate([[0.0], np.cumsum(steps)])
-        self.lean = math.degrees(self._lean(np.array([scene.bodies[self.dominoes[0]].orientation]))[0])
-        self.fell_at = None
+        self.lean = math.degrees(self._lean(np.array([scene.bodies[self.bodies[0]].orientation]))[0])
+        self.fell_at = np.inf
 
     @staticmethod
     def _lean(orientation):
@@ -94,16 +95,14 @@ class DominoOutcome(OverlapOutcome):
     def observe(self, sim):
         """Record when each domino falls."""
         super().observe(sim)
-        lean = self._lean(sim.get("orientation")[:, self.dominoes].astype(np.float64))
-        if self.fell_at is None:
-            self.fell_at = np.full(lean.shape, np.inf)
+        lean = self._lean(sim.get("orientation")[:, self.bodies].astype(np.float64))
         self.fell_at = np.minimum(self.fell_at, np.where(lean > math.radians(FALLEN), float(sim.time), np.inf))
 
     def verdicts(self, sim):
         """Number of fallen dominoes, their order, the speed of the wave, and overlap."""
-        if self.fell_at is None:
+        if not self.recent:
             return []
-        count, fallen = len(self.dominoes), np.isfinite(self.fell_at).sum(axis=1)
+        count, fallen = len(self.bodies), np.isfinite(self.fell_at).sum(axis=1)
         sure = {"default": True} if abs(self.lean - TOPPLING_ANGLE) > MARGIN else {}
         if self.lean < TOPPLING_ANGLE:
             stands = Verdict("fallen", fallen, "none falls: the lean is below 5.08 degrees", fallen == 0, sure)

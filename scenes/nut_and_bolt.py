@@ -61,7 +61,7 @@ class NutOutcome(OverlapOutcome):
 
     def __init__(self, scene):
         """Compute from the friction what must happen."""
-        super().__init__()
+        super().__init__(scene)
         (self.nut,) = indices(scene, "nut")
         body = scene.bodies[self.nut]
         solid = body.shape.mass_properties

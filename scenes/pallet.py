@@ -7,7 +7,7 @@ from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.joints import FixedJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Plane
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, below, indices, rest_verdict
+from warp_rigid.scenes.demo import Demo, OverlapOutcome, below, rest_verdict
 
 HALF = 0.1
 CELLS = [(x, y, z) for x in range(3) for y in range(2) for z in range(2)]
@@ -39,18 +39,19 @@ def build(drop: float = 0.3) -> Scene:
 class PalletOutcome(OverlapOutcome):
     """How far boxes move relative to the first one."""
 
+    prefix = "box_"
+
     def __init__(self, scene):
         """Note the shape at the start."""
-        super().__init__()
-        self.boxes = indices(scene, "box")
-        start = np.array([scene.bodies[box].position for box in self.boxes])
+        super().__init__(scene)
+        start = np.array([scene.bodies[box].position for box in self.bodies])
         self.start, self.drift = start - start[0], None
 
     def observe(self, sim):
         """Record the overlap and the largest displacement."""
         super().observe(sim)
-        place = sim.get("position")[:, self.boxes].astype(np.float64)
-        turn = inverse(sim.get("orientation")[:, self.boxes[0]].astype(np.float64))
+        place = sim.get("position")[:, self.bodies].astype(np.float64)
+        turn = inverse(sim.get("orientation")[:, self.bodies[0]].astype(np.float64))
         moved = rotate(turn[:, None], place - place[:, :1]) - self.start
         now = np.linalg.norm(moved, axis=-1).max(axis=1)
         self.drift = now if self.drift is None else np.maximum(self.drift, now)
@@ -61,7 +62,7 @@ class PalletOutcome(OverlapOutcome):
             return []
         return [
             below("drift", self.drift, 4e-5, "no box displaced by 0.04 mm at any time"),
-            rest_verdict(sim, self.boxes),
+            rest_verdict(sim, self.bodies),
             *self.overlap_verdicts(sim, 5e-5, 0.01),
         ]
 

@@ -12,16 +12,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import (
-    SOUND,
-    Demo,
-    OverlapOutcome,
-    Verdict,
-    contacts_verdict,
-    indices,
-    resting_verdict,
-    vary_starts,
-)
+from warp_rigid.scenes.demo import SOUND, Demo, OverlapOutcome, Verdict, vary_starts
 
 PLANET_RADIUS = 5.0
 FACETS = 4
@@ -83,11 +74,6 @@ def _shell(count, radius, rng):
 class PlanetOutcome(OverlapOutcome):
     """Whether the bodies settled on all sides of the planet."""
 
-    def __init__(self, scene):
-        """Find the bodies."""
-        super().__init__()
-        self.bodies = indices(scene, "body_")
-
     def verdicts(self, sim):
         """Octants with bodies, bodies lost, bodies at rest, contacts at the end, overlap."""
         position = sim.get("center_of_mass")[:, self.bodies]
@@ -99,9 +85,7 @@ class PlanetOutcome(OverlapOutcome):
         return [
             Verdict("lost", lost, "no body inside the planet or far from it", lost == 0),
             Verdict("octants", sides, "bodies in all 8 octants around the planet", sides == 8, around),
-            resting_verdict(sim, self.bodies),
-            contacts_verdict(sim, self.bodies),
-            *self.overlap_verdicts(sim, 5e-3, 0.015),
+            *self.settled_verdicts(sim, 5e-3, 0.015),
         ]
 
 

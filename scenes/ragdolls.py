@@ -37,7 +37,7 @@ class RagdollOutcome(ClosedJointsOutcome):
 
     def __init__(self, scene):
         """Find the bodies."""
-        super().__init__()
+        super().__init__(scene)
         self.bodies = [i for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
 
     def verdicts(self, sim):

@@ -115,22 +115,23 @@ def threaded(position, orientation, feet) -> np.ndarray:
 class RingsOutcome(OverlapOutcome):
     """Number of rings on poles, and whether none is lost and none overlaps another."""
 
+    prefix = "ring_"
+
     def __init__(self, scene):
         """Find rings and poles."""
-        super().__init__()
-        self.rings = indices(scene, "ring_")
+        super().__init__(scene)
         self.feet = np.array([scene.bodies[i].position[:2] for i in indices(scene, "pole_")])
         self.bound = LOST * CYLINDER_A_SIDE * math.isqrt(len(self.feet))
 
     def verdicts(self, sim):
         """Rings lost, rings on poles, and overlap."""
-        position = sim.get("position")[:, self.rings].astype(np.float64)
-        orientation = sim.get("orientation")[:, self.rings].astype(np.float64)
+        position = sim.get("position")[:, self.bodies].astype(np.float64)
+        orientation = sim.get("orientation")[:, self.bodies].astype(np.float64)
         # A ring whose position is NaN counts as lost.
         there = (np.linalg.norm(position[..., :2], axis=-1) < self.bound) & (position[..., 2] > 0.0)
         lost = (~there).sum(axis=1)
         on_poles = threaded(position, orientation, self.feet)
-        some = SOUND if len(self.rings) >= 3 * len(self.feet) else {}
+        some = SOUND if len(self.bodies) >= 3 * len(self.feet) else {}
         return [
             Verdict("lost", lost, "no ring lost", lost == 0),
             Verdict("threaded", on_poles, "at least one ring on a pole", on_poles > 0, some),

@@ -92,7 +92,7 @@ class MeetingOutcome(OverlapOutcome):
 
     def __init__(self, scene):
         """Find the two."""
-        super().__init__()
+        super().__init__(scene)
         (self.skull,) = indices(scene, "skull")
         (self.brain,) = indices(scene, "brain")
         # Meshes from files may come to rest apart from each other.

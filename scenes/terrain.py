@@ -11,7 +11,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices, vary_starts
+from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, above_heightfield, below, vary_starts
 
 EXTENT = 20.0
 VERTICES = 81
@@ -67,8 +67,7 @@ class SlideOutcome(OverlapOutcome):
 
     def __init__(self, scene):
         """Find the bodies."""
-        super().__init__()
-        self.bodies = indices(scene, "body_")
+        super().__init__(scene)
         self.sunk = 0
         self.first = self.last = None
         self.gain = 0.0
@@ -76,11 +75,7 @@ class SlideOutcome(OverlapOutcome):
     def observe(self, sim):
         """Record overlap, bodies below the surface, and the largest increase of energy from frame to frame."""
         super().observe(sim)
-        position = sim.get("center_of_mass")[:, self.bodies]
-        terrain = sim.scene.bodies[0].shape
-        ground = terrain.height_at(position[..., :2].reshape(-1, 2), 0.0).reshape(position.shape[:2])
-        # A position that is NaN counts as below the surface.
-        above = (position[..., 2] > ground) & (np.abs(position[..., :2]).max(axis=-1) < 0.5 * EXTENT)
+        _, above = above_heightfield(sim, self.bodies, 0.5 * EXTENT)
         self.sunk = np.maximum(self.sunk, (~above).sum(axis=1))
         energy = (sim.get("kinetic_energy") + sim.get("potential_energy"))[:, self.bodies].sum(axis=1)
         if self.last is None:

@@ -65,12 +65,14 @@ def _directions():
 class WreckOutcome(OverlapOutcome):
     """Drift of the pyramids before the hit, speed of the ball on the ramp, and the collapse."""
 
+    prefix = "cube_"
+
     def __init__(self, scene):
         """Record the start."""
-        super().__init__()
-        self.cubes, (self.ball,) = indices(scene, "cube_"), indices(scene, "ball")
+        super().__init__(scene)
+        (self.ball,) = indices(scene, "ball")
         self.first = indices(scene, "cube_0_")
-        self.start = np.array([scene.bodies[i].position for i in self.cubes])
+        self.start = np.array([scene.bodies[i].position for i in self.bodies])
         self.top = self.first[-1]
         self.top_height = scene.bodies[self.top].position[2]
         self.origin = np.array(scene.bodies[self.ball].position)
@@ -84,7 +86,7 @@ class WreckOutcome(OverlapOutcome):
         if self.speed_error is None:
             self.speed_error = np.full(len(place), np.nan)
         if (rolled < RELEASE).all():
-            moved = np.linalg.norm(sim.get("position")[:, self.cubes] - self.start, axis=-1).max(axis=1)
+            moved = np.linalg.norm(sim.get("position")[:, self.bodies] - self.start, axis=-1).max(axis=1)
             self.drift = np.maximum(self.drift, moved)
         speed = np.linalg.norm(sim.get("linear_velocity")[:, self.ball].astype(np.float64), axis=1)
         # A ball that rolls without slipping has 5/7 of the acceleration of one that slides without friction.

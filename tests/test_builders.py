@@ -55,7 +55,7 @@ def test_the_steepest_tower_that_stands_has_harmonic_overhangs(count):
 @pytest.mark.parametrize(
     ("add", "count"),
     [
-        (lambda scene: stacks.add_pyramid(scene, 4), 10),
+        (lambda scene: add_bodies(scene, stacks.CUBE, stacks.pyramid(4)), 10),
         (lambda scene: stacks.add_crossed_layers(scene, 4), 8),
         (lambda scene: stacks.add_card_house(scene, 2, np.radians(25.0)), 7),
     ],

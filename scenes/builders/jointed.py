@@ -35,7 +35,7 @@ class ClosedJointsOutcome:
         opened: largest gap of a joint of each environment so far, (envs,) [m]; None before the first frame.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, scene: Scene) -> None:
         """Nothing has been seen yet."""
         self.opened: np.ndarray | None = None
 

@@ -111,21 +111,6 @@ def pyramid(rows: int, half: float = 0.1) -> np.ndarray:
     return np.array(positions, np.float64).reshape(-1, 3)
 
 
-def add_pyramid(scene: Scene, rows: int, half: float = 0.1, **coefficients: Any) -> list[int]:
-    """Add rows of cubes in the plane y = 0, each with one cube less than the row below.
-
-    Args:
-        scene: the scene.
-        rows: number of rows, which is also the number of cubes in the lowest one.
-        half: half of a cube's width [m].
-        **coefficients: as in `add_bodies`.
-
-    Returns:
-        Indices of the cubes, row by row from the ground up.
-    """
-    return add_bodies(scene, Box((half,) * 3), pyramid(rows, half), **coefficients)
-
-
 def brick_tower(count: int, sectors: int = 60) -> tuple[np.ndarray, np.ndarray]:
     """Poses of flat bricks that form a round, hollow tower, lowest first.
 
@@ -154,21 +139,6 @@ def brick_tower(count: int, sectors: int = 60) -> tuple[np.ndarray, np.ndarray]:
     flat = np.zeros(count)
     position = np.stack([radius * np.cos(about), radius * np.sin(about), height], axis=1)
     return position, np.stack([flat, flat, np.sin(half), np.cos(half)], axis=1)
-
-
-def add_brick_tower(scene: Scene, count: int, sectors: int = 60, **coefficients: Any) -> list[int]:
-    """Add flat bricks that form a round, hollow tower; see `brick_tower`.
-
-    Args:
-        scene: the scene.
-        count: number of bricks.
-        sectors: bricks in a ring.
-        **coefficients: as in `add_bodies`.
-
-    Returns:
-        Indices of the bricks, lowest first.
-    """
-    return add_bodies(scene, Box(BRICK), *brick_tower(count, sectors), **coefficients)
 
 
 def voussoir(stones: int, radius: float, thickness: float, depth: float, sdf_resolution: int = 64) -> Mesh:

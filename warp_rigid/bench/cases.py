@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -162,17 +163,19 @@ def moving(scene: Scene) -> list[int]:
     return [i for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
 
 
-def _stack(bodies: int) -> Scene:
-    scene = grounds.level_scene(friction=FRICTION)
-    stacks.add_stack(scene, bodies, bottom=0.0, gap=GAP, density=DENSITY, friction=FRICTION)
-    return scene
+def _on_ground(add: Callable[..., Any], friction: float = FRICTION, density: float = DENSITY) -> Callable[[int], Scene]:
+    """A function of the number of bodies that builds level ground and the bodies that `add` adds to the scene."""
+
+    def build(bodies: int) -> Scene:
+        scene = grounds.level_scene(friction=friction)
+        add(scene, bodies, density=density, friction=friction)
+        return scene
+
+    return build
 
 
-def _pyramid(cubes: int) -> Scene:
-    scene = grounds.level_scene(friction=PYRAMID_FRICTION)
-    cube = Box((PYRAMID_HALF,) * 3)
-    add_bodies(scene, cube, _pyramid_rest(cubes), density=PYRAMID_DENSITY, friction=PYRAMID_FRICTION)
-    return scene
+def _add_pyramid(scene: Scene, cubes: int, **surface: Any) -> None:
+    add_bodies(scene, Box((PYRAMID_HALF,) * 3), _pyramid_rest(cubes), **surface)
 
 
 def _pyramid_rest(cubes: int) -> np.ndarray:
@@ -181,23 +184,8 @@ def _pyramid_rest(cubes: int) -> np.ndarray:
     return stacks.pyramid(rows, PYRAMID_HALF)[:cubes]
 
 
-def _brick_tower(bricks: int) -> Scene:
-    scene = grounds.level_scene(friction=FRICTION)
-    stacks.add_brick_tower(scene, bricks, density=DENSITY, friction=FRICTION)
-    return scene
-
-
-def _arm(links: int) -> Scene:
-    scene = grounds.level_scene(friction=FRICTION)
-    arms.add_arm(scene, links, DENSITY, FRICTION)
-    return scene
-
-
-def _pile(shape: Callable[[], Shape], bodies: int) -> Scene:
-    scene = grounds.level_scene(friction=FRICTION)
-    piles.add_pile_bin(scene, bodies, friction=FRICTION)
-    add_bodies(scene, shape(), *_pile_starts(bodies, 0), density=DENSITY, friction=FRICTION)
-    return scene
+def _add_bricks(scene: Scene, bricks: int, **surface: Any) -> None:
+    add_bodies(scene, Box(stacks.BRICK), *stacks.brick_tower(bricks), **surface)
 
 
 def _pile_starts(bodies: int, env: int) -> Starts:
@@ -205,7 +193,11 @@ def _pile_starts(bodies: int, env: int) -> Starts:
 
 
 def _pile_of(shape: Callable[[], Shape]) -> BenchmarkScene:
-    return BenchmarkScene(partial(_pile, shape), lambda bodies: piles.inner_half(bodies) + MARGIN, _pile_starts)
+    def add(scene: Scene, bodies: int, friction: float, density: float) -> None:
+        piles.add_pile_bin(scene, bodies, friction=friction)
+        add_bodies(scene, shape(), *_pile_starts(bodies, 0), density=density, friction=friction)
+
+    return BenchmarkScene(_on_ground(add), lambda bodies: piles.inner_half(bodies) + MARGIN, _pile_starts)
 
 
 def _poles_a_side(rings: int) -> int:
@@ -214,7 +206,9 @@ def _poles_a_side(rings: int) -> int:
 
 
 SCENES: dict[str, BenchmarkScene] = {
-    "stack": BenchmarkScene(_stack, half_width=lambda cubes: 0.5 * EDGE, rest=stacks.column),
+    "stack": BenchmarkScene(
+        _on_ground(partial(stacks.add_stack, gap=GAP)), half_width=lambda cubes: 0.5 * EDGE, rest=stacks.column
+    ),
     "pile_box": _pile_of(lambda: stacks.CUBE),
     "pile_torus": _pile_of(meshes.torus),
     "pile_bunny": _pile_of(lambda: meshes.bunny(EDGE)),
@@ -224,12 +218,18 @@ SCENES: dict[str, BenchmarkScene] = {
         starts=lambda rings, env: rings_on_poles.starts(rings, _poles_a_side(rings), env),
         max_bodies=2000,
     ),
-    "pyramid": BenchmarkScene(_pyramid, half_width=lambda cubes: PYRAMID_HALF, rest=_pyramid_rest),
+    "pyramid": BenchmarkScene(
+        _on_ground(_add_pyramid, PYRAMID_FRICTION, PYRAMID_DENSITY),
+        half_width=lambda cubes: PYRAMID_HALF,
+        rest=_pyramid_rest,
+    ),
     "kapla": BenchmarkScene(
-        _brick_tower, half_width=lambda bricks: stacks.BRICK[1], rest=lambda bricks: stacks.brick_tower(bricks)[0]
+        _on_ground(_add_bricks),
+        half_width=lambda bricks: stacks.BRICK[1],
+        rest=lambda bricks: stacks.brick_tower(bricks)[0],
     ),
     "arm": BenchmarkScene(
-        _arm,
+        _on_ground(arms.add_arm),
         half_width=lambda links: arms.PITCH * links + MARGIN,
         targets=lambda links, env: arms.targets(links, FIRST_SEED + env),
         max_bodies=100,

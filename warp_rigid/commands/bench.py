@@ -18,7 +18,7 @@ from warp_rigid.bench.notes import duration, notes
 from warp_rigid.bench.phases import UNTIL, measure_phases
 from warp_rigid.bench.startup import start_up
 from warp_rigid.commands.options import AsJson, Device, takes
-from warp_rigid.commands.terminal import check_outputs, check_writable, console, note
+from warp_rigid.commands.terminal import check_outputs, check_writable, console, note, say, say_written
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.progress_bar import progress
 
@@ -200,21 +200,14 @@ def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]
             table.add_row(*(escape(cells[name]) for name in names))
     out.print(table, highlight=False)
     out.print(explanation, style="dim", markup=False, highlight=False)
-    for line in notes(rows):
-        out.print(line, highlight=False, markup=False)
-    for row in rows:
-        if "rest" in row:
-            out.print(_rest(row), highlight=False, markup=False)
-    for row in rows:
-        if "stage_seconds" in row:
-            out.print(_stages(row), highlight=False, markup=False)
+    say(*notes(rows), *(_rest(row) for row in rows if "rest" in row))
+    say(*(_stages(row) for row in rows if "stage_seconds" in row))
     for case, cost in started.items():
         costs = ", ".join(
             f"{k} {v['seconds']:.2f} s ({v['processor_seconds']:.2f} s processor time)" for k, v in cost.items()
         )
-        out.print(f"first frame of {case}: {costs}, {cost['warm']['modules']} modules", highlight=False, markup=False)
-    for path in files:
-        out.print(f"wrote {path}", highlight=False, markup=False)
+        say(f"first frame of {case}: {costs}, {cost['warm']['modules']} modules")
+    say_written(files)
 
 
 def _cells(row: dict[str, Any]) -> dict[str, str]:

@@ -18,6 +18,8 @@ from warp_rigid.commands.terminal import (
     console,
     continued,
     note,
+    say,
+    say_written,
     told_if_interrupted,
 )
 from warp_rigid.files.atomic import check_unread
@@ -324,7 +326,6 @@ def _draw(options: RunOptions, recording: Recording) -> None:
 
 
 def _print_summary(summary: dict[str, Any]) -> None:
-    out = console()
     deepest = max(summary["deepest_penetration"], default=0.0)
     at_end = max(summary["penetration"], default=0.0)
     lines = [
@@ -344,14 +345,12 @@ def _print_summary(summary: dict[str, Any]) -> None:
         f"environment {record['env']}: warning: {record['warning']} since step {record['step']}, body {record['body']}"
         for record in summary["warnings"]
     ]
-    for line in lines:
-        out.print(line, highlight=False, markup=False)
+    say(*lines)
     if summary["verdicts"]:
-        out.print(_verdict_table(summary), highlight=False)
+        console().print(_verdict_table(summary), highlight=False)
         if any(verdict["passed"] is not None for verdict in summary["verdicts"]):
-            out.print(_conclusion(summary["verdicts"]), highlight=False, markup=False)
-    for path in summary["files"]:
-        out.print(f"wrote {path}", highlight=False, markup=False)
+            say(_conclusion(summary["verdicts"]))
+    say_written(summary["files"])
 
 
 def _frame_seconds(summary: dict[str, Any]) -> float:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from warp_rigid.commands.options import AsJson, SimulatedScene, takes
-from warp_rigid.commands.terminal import check_writable, console, continued, note, told_if_interrupted
+from warp_rigid.commands.terminal import check_writable, continued, note, say, say_written, told_if_interrupted
 
 FAILED_RUNS = 5
 
@@ -134,7 +134,6 @@ def print_result(result: Any, files: list[str], as_json: bool, seconds: float | 
         summary = {"runs": len(result), "failed": len(failed), "seconds": seconds, "files": files}
         print(json.dumps({**summary, "about": result.about, "rows": result.rows}, default=str))
     else:
-        out = console()
         took = f" in {seconds:.3g} s" if seconds is not None else ""
         lines = [f"{result.about['scene'].partition(':')[0]}: {len(result)} runs, {len(failed)} failed{took}"]
         for name in result.metrics:
@@ -143,8 +142,8 @@ def print_result(result: Any, files: list[str], as_json: bool, seconds: float | 
                 finite = [value for value in values.astype(float).tolist() if value == value]
                 if finite:
                     lines.append(f"{name}: {min(finite):.4g} to {max(finite):.4g}")
-        for line in lines + [f"wrote {path}" for path in files]:
-            out.print(line, highlight=False, markup=False)
+        say(*lines)
+        say_written(files)
     if failed:
         first = failed[0]
         note(f"{len(failed)} run(s) failed, first run {first['run']}: {first['status']}: {first['reason']}")

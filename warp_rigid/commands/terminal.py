@@ -6,6 +6,7 @@ import shlex
 import sys
 import tempfile
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,18 @@ def console(stderr: bool = False) -> Console:
     """A console for the terminal, or of fixed width if the output is redirected."""
     found = Console(stderr=stderr)
     return found if found.is_terminal else Console(stderr=stderr, width=PLAIN_WIDTH)
+
+
+def say(*lines: str) -> None:
+    """Print lines on stdout, as they are."""
+    out = console()
+    for line in lines:
+        out.print(line, highlight=False, markup=False)
+
+
+def say_written(files: Iterable[str]) -> None:
+    """Print the paths of written files on stdout."""
+    say(*(f"wrote {path}" for path in files))
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from warp_rigid.commands.options import AsJson
-from warp_rigid.commands.terminal import console, note
+from warp_rigid.commands.terminal import note, say
 
 BAD_FILE = 2
 
@@ -25,8 +25,7 @@ def check_command(
     if as_json:
         print(json.dumps({"file": file, "problems": [vars(problem) for problem in problems]}))
     else:
-        for problem in problems:
-            console().print(str(problem), highlight=False, markup=False)
+        say(*map(str, problems))
         note(f"{file}: {len(problems)} problem(s)")
     return BAD_FILE if problems else 0
 
@@ -40,5 +39,5 @@ def flatten_command(
     from warp_rigid.usd.flatten import flatten_usd
 
     count = flatten_usd(source, target)
-    console().print(f"wrote {target}: {count} instances", highlight=False, markup=False)
+    say(f"wrote {target}: {count} instances")
     return 0

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from warp_rigid.commands.options import AsJson
-from warp_rigid.commands.terminal import check_outputs, console
+from warp_rigid.commands.terminal import check_outputs, console, say, say_written
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.progress_bar import progress
@@ -55,12 +55,9 @@ def validate_command(
     if as_json:
         print(json.dumps({**report.as_json(findings, devices), "files": files}))
     else:
-        out = console()
-        report.print_table(findings, out)
-        for line in (report.summary(findings), *report.agreement(report.as_json(findings, devices)["checks"])):
-            out.print(line, highlight=False, markup=False)
-        for path in files:
-            out.print(f"wrote {path}", highlight=False, markup=False)
+        report.print_table(findings, console())
+        say(report.summary(findings), *report.agreement(report.as_json(findings, devices)["checks"]))
+        say_written(files)
     return report.exit_status(findings)
 
 
@@ -81,13 +78,8 @@ def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
         return 0
     for name, table in tables.items():
         heading, *lines = shock.rows(table, quick)
-        printed = Table(
-            *heading,
-            box=None,
-            pad_edge=False,
-            title=escape(f"{name}; in brackets: ms per step of 1/240 s"),
-            title_justify="left",
-        )
+        title = escape(f"{name}; in brackets: ms per step of 1/240 s")
+        printed = Table(*heading, box=None, pad_edge=False, title=title, title_justify="left")
         for line in lines:
             printed.add_row(*(escape(cell) for cell in line))
         console().print(printed, highlight=False)

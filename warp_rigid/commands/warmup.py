@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 import warp as wp
 
-from warp_rigid.commands.terminal import console
+from warp_rigid.commands.terminal import say
 from warp_rigid.engine.loading import everything, load_kernels
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.engine.teams import sizes_of_teams
@@ -22,4 +22,4 @@ def warmup_command(
         with progress(f"compiling for {chosen}", 1) as advance:
             load_kernels(chosen, everything(), lanes=sizes_of_teams(chosen), on_module=advance)
         seconds = time.perf_counter() - start
-        console().print(f"{chosen}: ready after {seconds:.2g} s", highlight=False, markup=False)
+        say(f"{chosen}: ready after {seconds:.2g} s")

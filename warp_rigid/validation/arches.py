@@ -1,12 +1,14 @@
 """Section H: arches over the range of time steps, and structures at rest, which must not climb."""
 
+from functools import partial
+
 import numpy as np
 
 from warp_rigid.scenes.builders import stacks
-from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import OUTCOME, Check, Curve, ValidationCase, at_most, case, measured
+from warp_rigid.scenes.builders.parts import on_ground
+from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment, Trace
-from warp_rigid.validation.towers import pyramid_scene
+from warp_rigid.validation.towers import card_house_scene, pyramid_scene
 
 RADIUS = 5.0
 """Mean radius of the arches [m]."""
@@ -14,16 +16,15 @@ RATES = (60, 120, 240, 480)
 """Steps per second."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; fewer time steps and shorter if quick."""
     return [arches(RATES[:1] if quick else RATES, 2.0 if quick else 10.0), *climbing(quick)]
 
 
 def arch_scene(stones: int, ratio: float, friction: float):
-    """A semicircular arch on level ground."""
-    made = level_scene(friction=friction)
-    stacks.add_arch(made, stones, RADIUS, ratio * RADIUS, friction=friction)
-    return made
+    """A function that builds a semicircular arch on level ground."""
+    arch = partial(stacks.add_arch, stones=stones, radius=RADIUS, thickness=ratio * RADIUS, friction=friction)
+    return on_ground(arch, friction=friction)
 
 
 def crown(trace: Trace) -> np.ndarray:
@@ -48,7 +49,7 @@ def arches(rates, duration):
 
     def experiment(name, stones, ratio, friction, _, rate):
         return Experiment(
-            lambda: arch_scene(stones, ratio, friction),
+            arch_scene(stones, ratio, friction),
             duration,
             dt=1 / rate,
             every=max(1, rate // 30),
@@ -74,22 +75,11 @@ def arches(rates, duration):
 def climbing(quick):
     """Structures at rest, whose centre of mass must not rise."""
     rates, duration = (RATES[:1], 2.0) if quick else (RATES, 10.0)
-
-    def beams():
-        made = level_scene()
-        stacks.add_crossed_layers(made, 10)
-        return made
-
-    def cards():
-        made = level_scene(friction=0.7)
-        stacks.add_card_house(made, 2, np.radians(25.0), friction=0.7)
-        return made
-
     structures = {
-        "arch of 27 stones": (lambda: arch_scene(27, 0.16, 0.8), 2.0 * RADIUS),
-        "pyramid of 8 rows": (lambda: pyramid_scene(8), 1.6),
-        "10 crossed layers": (beams, 2.0),
-        "card house": (cards, 0.4),
+        "arch of 27 stones": (arch_scene(27, 0.16, 0.8), 2.0 * RADIUS),
+        "pyramid of 8 rows": (partial(pyramid_scene, 8), 1.6),
+        "10 crossed layers": (on_ground(partial(stacks.add_crossed_layers, layers=10)), 2.0),
+        "card house": (card_house_scene(2), 0.4),
     }
     cells = [(name, *given, rate) for name, given in structures.items() for rate in rates]
 

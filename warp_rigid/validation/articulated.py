@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from operator import methodcaller
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.scene.joints import DistanceJoint, FixedJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders.parts import body, in_space
 from warp_rigid.validation.case import OUTCOME, Check, ValidationCase, absolute, at_most, case, measured, relative
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
@@ -166,13 +168,8 @@ def cradle() -> ValidationCase:
 
 def welds() -> ValidationCase:
     """A box hangs from a weld without gravity, under loads next to the force that the weld withstands."""
-
-    def scene():
-        made = Scene(gravity=(0, 0, 0))
-        body = made.add_body(Box((0.1, 0.1, 0.1)), mass=2.0)
-        made.add_joint(FixedJoint(), body, anchor=(0, 0, 0.1), break_force=WELD)
-        return made
-
+    weld = methodcaller("add_joint", FixedJoint(), 0, anchor=(0, 0, 0.1), break_force=WELD)
+    scene = in_space(body(Box((0.1, 0.1, 0.1)), mass=2.0), weld)
     load = np.array([[(0.0, 0.0, -WELD * share)] for share in LOADS])
     labels = tuple(f"{share:g} of the limit" for share in LOADS)
     experiment = Experiment(scene, 0.25, labels, (Start("force", load),))

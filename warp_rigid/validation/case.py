@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,27 +36,13 @@ class Tolerance:
         return error / np.abs(reference) if self.kind == "relative" else error
 
 
-def relative(limit: float) -> Tolerance:
-    """Error relative to the reference of at most `limit`."""
-    return Tolerance("relative", limit)
-
-
-def absolute(limit: float) -> Tolerance:
-    """Error of at most `limit`, in the quantity's unit."""
-    return Tolerance("absolute", limit)
-
-
-def at_most(limit: float) -> Tolerance:
-    """At most `limit` above the reference, in the quantity's unit."""
-    return Tolerance("at_most", limit)
-
-
-def at_least(limit: float) -> Tolerance:
-    """At most `limit` below the reference, in the quantity's unit."""
-    return Tolerance("at_least", limit)
-
-
-AT_LEAST = at_least(0.0)
+relative = partial(Tolerance, "relative")
+"""Error relative to the reference of at most `limit`."""
+absolute = partial(Tolerance, "absolute")
+"""Error of at most `limit`, in the quantity's unit."""
+at_most = partial(Tolerance, "at_most")
+"""At most `limit` above the reference, in the quantity's unit."""
+AT_LEAST = Tolerance("at_least", 0.0)
 """No less than the reference."""
 OUTCOME = Tolerance("outcome", 0.0)
 """An event that occurs (1) or does not (0), exactly as in the reference."""
@@ -170,6 +157,10 @@ class ValidationCase:
         if self.compute:
             return self.compute(device)
         return tuple(experiment.run(device) for experiment in self.experiments)
+
+
+Cases = list[ValidationCase]
+"""The cases of a section."""
 
 
 def case(

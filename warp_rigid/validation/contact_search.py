@@ -9,11 +9,9 @@ import numpy as np
 from warp_rigid import rotations
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scenes.builders.assortment import CONVEX_KINDS, convex_solid
-from warp_rigid.validation.case import Check, ValidationCase, at_most, case
-from warp_rigid.validation.common import NO_GRAVITY
+from warp_rigid.scenes.builders.parts import body, in_space
+from warp_rigid.validation.case import Cases, Check, at_most, case
 
 POLYHEDRA = tuple(kind for kind in CONVEX_KINDS if kind != "sphere")
 """Kinds whose overlap separating axes give exactly."""
@@ -25,7 +23,7 @@ CHUNK = 2000
 """Pairs whose axes are projected at a time."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; fewer pairs if quick."""
     if quick:
         return [contacts_found(100, ("cube", "tetrahedron", "cylinder")), pairs_part(50, ("tetrahedron", "cylinder"))]
@@ -102,12 +100,10 @@ def random_pairs(kinds: Sequence[str], count: int, seed: int) -> tuple[np.ndarra
 
 def pair_simulator(kinds: Sequence[str], offset: np.ndarray, turn: np.ndarray, device: str) -> Simulator:
     """An environment for each pair, without gravity; dt 1/240."""
-    scene = Scene(gravity=NO_GRAVITY)
-    shapes: list[Shape] = [convex_solid(kind, RADIUS) for kind in kinds]
-    first, second = (scene.add_body(shape) for shape in shapes)
-    sim = Simulator(scene, len(offset), Settings(dt=1 / 240), device=device)
-    sim.set("position", offset[:, None], bodies=[second])
-    sim.set("orientation", turn[:, None], bodies=[second])
+    scene = in_space(*(body(convex_solid(kind, RADIUS)) for kind in kinds))
+    sim = Simulator(scene(), len(offset), Settings(dt=1 / 240), device=device)
+    sim.set("position", offset[:, None], bodies=[1])
+    sim.set("orientation", turn[:, None], bodies=[1])
     return sim
 
 

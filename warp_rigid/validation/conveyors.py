@@ -1,6 +1,7 @@
 """Section I: bodies on conveyor belts, which are static bodies whose surface runs."""
 
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Sphere
-from warp_rigid.validation.case import Check, Curve, ValidationCase, absolute, case, measured, relative
+from warp_rigid.scenes.builders.parts import body, in_space, static
+from warp_rigid.validation.case import Cases, Check, Curve, absolute, case, measured, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
@@ -22,16 +24,15 @@ RADIUS, FOOT, PLATE_FRICTION, PLATE_TIME = 0.3, 0.005, 0.3, 0.35
 """Of a plate on three feet: distance of the feet from its centre and their radius [m], friction, time compared [s]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; at one time step if quick."""
     return [parcels((DT,) if quick else (1 / 60, DT, 1 / 960)), stack(), plate_across_the_edge()]
 
 
-def belt_scene(friction: float = 0.5) -> Scene:
-    """A belt along x at rest, with its upper face at z = 0."""
-    scene = Scene(gravity=(0, 0, -G))
-    scene.add_static(Box((10, 1, 0.1)), position=(0, 0, -0.1), friction=friction, name="belt")
-    return scene
+def on_belt(*bodies, friction: float = 0.5) -> Callable[[], Scene]:
+    """A function that builds a scene: a belt along x at rest, with its upper face at z = 0, and bodies on it."""
+    belt = static(Box((10, 1, 0.1)), position=(0, 0, -0.1), friction=friction, name="belt")
+    return in_space(belt, *bodies, gravity=(0, 0, -G))
 
 
 def slip_by_steps(speed: float, friction: float, dt: float) -> float:
@@ -45,15 +46,9 @@ def parcels(steps):
     speed, friction = np.array(BELTS).T
     velocity = np.zeros((len(BELTS), 1, 3))
     velocity[:, 0, 0] = speed
-
-    def scene():
-        made = belt_scene()
-        made.add_body(Box((HALF,) * 3), position=(0, 0, HALF))
-        return made
-
     experiments = tuple(
         Experiment(
-            scene,
+            on_belt(body(Box((HALF,) * 3), position=(0, 0, HALF))),
             0.6,
             tuple(f"{v:g} m/s, mu {mu:g}" for v, mu in BELTS),
             (Start("surface_velocity", velocity, bodies=["belt"]), Start("friction", friction[:, None])),
@@ -90,13 +85,12 @@ def stack():
     """A stack of three on a belt that starts and stops: it travels as far as the belt."""
 
     def compute(device: str) -> Any:
-        made = belt_scene(STACK_FRICTION)
-        boxes = [made.add_body(Box((HALF,) * 3), position=(0, 0, HALF * (1 + 2 * k)), friction=0.8) for k in range(3)]
-        sim = Simulator(made, settings=Settings(dt=DT), device=device)
+        boxes = [body(Box((HALF,) * 3), position=(0, 0, HALF * (1 + 2 * k)), friction=0.8) for k in range(3)]
+        sim = Simulator(on_belt(*boxes, friction=STACK_FRICTION)(), settings=Settings(dt=DT), device=device)
         for velocity in (1.0, 0.0):
             sim.set("surface_velocity", (velocity, 0, 0), bodies=["belt"])
             sim.step(round(STACK_TIME / DT))
-        return sim.get("position")[0, boxes].astype(np.float64)
+        return sim.get("position")[0, 1:].astype(np.float64)
 
     return case(
         "V108",
@@ -139,15 +133,11 @@ def plate_motion() -> tuple[float, float, float]:
 
 def plate_across_the_edge():
     """A plate on three feet, two of which are on a belt and one on the table beside it, which turns the plate."""
-
-    def scene():
-        made = Scene(gravity=(0, 0, -G))
-        kinds = (((-1.0, 0.0, 0.0), {"surface_velocity": (0, 1, 0)}), ((1.0, 0.0, 0.0), {}))
-        for (x, y, _), surface in kinds:
-            made.add_static(Box((1, 1, 0.1)), position=(x, y, -0.1), friction=PLATE_FRICTION, **surface)
-        plate = Compound([(Sphere(FOOT), place, (0, 0, 0, 1)) for place in feet()])
-        made.add_body(plate, position=(0, 0, FOOT), friction=PLATE_FRICTION)
-        return made
+    table = partial(static, Box((1, 1, 0.1)), friction=PLATE_FRICTION)
+    belt = table(position=(-1, 0, -0.1), surface_velocity=(0, 1, 0))
+    plate = Compound([(Sphere(FOOT), place, (0, 0, 0, 1)) for place in feet()])
+    on_feet = body(plate, position=(0, 0, FOOT), friction=PLATE_FRICTION)
+    scene = in_space(belt, table(position=(1, 0, -0.1)), on_feet, gravity=(0, 0, -G))
 
     def motion(trace: Trace) -> np.ndarray:
         x, y, _ = trace.position[-1, 0, 2]

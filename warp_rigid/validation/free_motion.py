@@ -3,21 +3,10 @@
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.validation.case import (
-    Check,
-    Curve,
-    Miss,
-    ValidationCase,
-    absolute,
-    at_most,
-    case,
-    each,
-    measured,
-    relative,
-)
-from warp_rigid.validation.common import NO_GRAVITY, G, turn_about
+from warp_rigid.scenes.builders.parts import body, in_space
+from warp_rigid.validation.case import Cases, Check, Curve, Miss, absolute, at_most, case, each, measured, relative
+from warp_rigid.validation.common import G, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
 EULER = "Euler's equations, closed form"
@@ -31,7 +20,7 @@ BRICK = Box((np.sqrt(2.0), 1.0, FLAT))
 """Moments of inertia as 1 : 2 : 3."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; shorter if quick."""
     return [
         symmetric_top("plate, I 1 : 1 : 2", PLATE),
@@ -53,14 +42,8 @@ def spinning(shape, spins, turns=None, **options) -> Experiment:
     spins = np.asarray(spins, np.float64)
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(spins), 1)) if turns is None else np.asarray(turns)
     world = rotations.rotate(turns, spins)
-
-    def scene():
-        made = Scene(gravity=NO_GRAVITY)
-        made.add_body(shape, mass=1.0)
-        return made
-
     starts = Start("orientation", turns[:, None]), Start("angular_velocity", world[:, None])
-    return Experiment(scene, starts=starts, **options)
+    return Experiment(in_space(body(shape, mass=1.0)), starts=starts, **options)
 
 
 def symmetric_top(name, shape):
@@ -231,11 +214,8 @@ def free_fall():
     """Symplectic Euler must fall by g dt^2 n (n + 1) / 2; the other components of the motion are uniform."""
     rates = (60, 240, 1000)
     velocity = np.array([[0.0, 0.0, 0.0], [3.0, -2.0, 4.0]])
-
-    def scene():
-        made = Scene()
-        made.add_body(Sphere(0.1), angular_velocity=(5, 0, 0), orientation=turn_about((1, 2, 3), 40.0))
-        return made
+    ball = body(Sphere(0.1), angular_velocity=(5, 0, 0), orientation=turn_about((1, 2, 3), 40.0))
+    scene = in_space(ball, gravity=(0, 0, -G))
 
     def discrete(trace):
         n, dt = len(trace.time) - 1, trace.experiment.dt

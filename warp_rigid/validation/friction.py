@@ -5,18 +5,8 @@ import numpy as np
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import (
-    OUTCOME,
-    Check,
-    Curve,
-    Miss,
-    ValidationCase,
-    absolute,
-    at_most,
-    case,
-    measured,
-    relative,
-)
+from warp_rigid.scenes.builders.parts import body, on_ground
+from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, Miss, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
 from warp_rigid.validation.solids import cube
@@ -25,7 +15,7 @@ COULOMB = "Coulomb's law, closed form"
 CUBE, SLAB, SMALL = Box((0.5, 0.5, 0.5)), Box((0.2, 0.2, 0.05)), Box((0.05, 0.05, 0.05))
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """Cases of sliding; shorter if quick."""
     return [
         sticks(5.0),
@@ -279,15 +269,10 @@ def stopping_distance():
     rows = np.array([(2.0, 0.2, 0.01), (2.0, 0.4, 0.01), (2.0, 0.7, 0.01), (5.0, 0.5, 0.005)])
     start, friction, limit = rows.T
 
-    def scene():
-        made = level_scene()
-        made.add_body(Box((0.25, 0.25, 0.25)), position=(0, 0, 0.25))
-        return made
-
     def experiment(steps):
         velocity = np.stack([start, 0 * start, 0 * start], axis=1)[:, None]
         return Experiment(
-            scene,
+            on_ground(body(Box((0.25, 0.25, 0.25)), position=(0, 0, 0.25))),
             2.0,
             tuple(f"v0 {v:g}, mu {mu:g}, dt 1/{steps}" for v, mu in zip(start, friction, strict=True)),
             (per_env("friction", friction), Start("linear_velocity", velocity, bodies=[1])),
@@ -331,16 +316,10 @@ def painleve():
     """
     angle, friction = np.radians(63.4), np.array([1.0, 1.5, 2.0])
     rod = Capsule(0.01, 0.49)
-    tip = 0.49 * np.array([np.cos(angle), 0.0, np.sin(angle)])
-
-    def scene():
-        made = level_scene()
-        # The rod leans forward over its dragging tip, as chalk pushed over a board.
-        turn = turn_about((0, 1, 0), -(90 - np.degrees(angle)))
-        made.add_body(
-            rod, mass=1.0, position=(-tip[0], 0, tip[2] + 0.01), orientation=turn, linear_velocity=(1.0, 0, 0)
-        )
-        return made
+    place = (-0.49 * np.cos(angle), 0, 0.49 * np.sin(angle) + 0.01)
+    # The rod leans forward over its dragging tip, as chalk pushed over a board.
+    turn = turn_about((0, 1, 0), -(90 - np.degrees(angle)))
+    scene = on_ground(body(rod, mass=1.0, position=place, orientation=turn, linear_velocity=(1.0, 0, 0)))
 
     def tip_speed(trace):
         along_rod = trace.turns[:, :, 1, :, 2]

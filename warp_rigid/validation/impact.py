@@ -3,20 +3,9 @@
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
-from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import (
-    OUTCOME,
-    Check,
-    Curve,
-    ValidationCase,
-    absolute,
-    at_most,
-    case,
-    measured,
-    relative,
-)
+from warp_rigid.scenes.builders.parts import body, in_space, on_ground
+from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start
 
@@ -25,7 +14,7 @@ RATES = (60, 240, 1000)
 """Steps per second at which the bounces are measured."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; shorter and fewer if quick."""
     listed = [
         bounce_heights(),
@@ -44,12 +33,7 @@ def cases(quick: bool) -> list[ValidationCase]:
 
 def dropped_ball(restitution, duration, rate):
     """Experiment: a ball of radius 0.05 m that falls by 1 m; one environment for each restitution."""
-
-    def scene():
-        made = level_scene()
-        made.add_body(Sphere(0.05), position=(0, 0, 1.05))
-        return made
-
+    scene = on_ground(body(Sphere(0.05), position=(0, 0, 1.05)))
     variants = tuple(f"e {e:g}, dt 1/{rate}" for e in restitution)
     return Experiment(scene, duration, variants, (per_env("restitution", restitution),), dt=1 / rate)
 
@@ -167,13 +151,6 @@ def head_on():
     """Two spheres collide; in some environments a step ends just before the contact."""
     cells = [(e, apart) for apart in (1.2, 0.8512, 0.7, 0.9) for e in (0.0, 0.25, 0.5, 0.75, 1.0)]
     restitution, apart = np.array(cells).T
-
-    def scene():
-        made = Scene(gravity=NO_GRAVITY)
-        for side in (-1, 1):
-            made.add_body(Sphere(0.5), mass=1.0, linear_velocity=(-side, 0, 0))
-        return made
-
     place = np.zeros((len(cells), 2, 3))
     place[:, 0, 0], place[:, 1, 0] = -apart, apart
     return case(
@@ -183,7 +160,7 @@ def head_on():
         measured("speed after", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], absolute(1e-3), restitution),
         measured("momentum", "kg m/s", lambda t: t.momentum[-1, :, 0], absolute(1e-6)),
         of=Experiment(
-            scene,
+            in_space(*(body(Sphere(0.5), mass=1.0, linear_velocity=(-side, 0, 0)) for side in (-1, 1))),
             1.0,
             tuple(f"e {e:g}, from {2 * x - 1:.4g} m apart" for e, x in cells),
             (per_env("restitution", restitution), Start("position", place)),
@@ -207,18 +184,11 @@ def successive_impacts(masses, velocities, restitution):
 
 def row_of_balls(masses, rows):
     """Experiment and exact velocities of rows of balls; `rows` contains (velocities, restitution, gap)."""
-    count = len(masses)
-
-    def scene():
-        made = Scene(gravity=NO_GRAVITY)
-        for mass in masses:
-            made.add_body(Sphere(0.1), mass=mass, friction=0.0)
-        return made
-
-    velocity, place = np.zeros((2, len(rows), count, 3))
+    scene = in_space(*(body(Sphere(0.1), mass=mass, friction=0.0) for mass in masses))
+    velocity, place = np.zeros((2, len(rows), len(masses), 3))
     for env, (before, _, gap) in enumerate(rows):
         velocity[env, :, 0] = before
-        place[env, :, 0] = np.arange(count) * (0.2 + gap)
+        place[env, :, 0] = np.arange(len(masses)) * (0.2 + gap)
     variants = tuple(f"v {' '.join(f'{v:g}' for v in before)}, e {e:g}, gap {gap:g} m" for before, e, gap in rows)
     starts = (
         per_env("restitution", [e for _, e, _ in rows]),
@@ -314,12 +284,7 @@ def superball():
     ]
     tangential, spin, normal, restitution, friction = np.array(rows, np.float64).T
     exact = np.array([superball_after(*row) for row in rows])
-
-    def scene():
-        made = level_scene(gravity=NO_GRAVITY)
-        made.add_body(Sphere(0.1), position=(0, 0, 0.1))
-        return made
-
+    scene = on_ground(body(Sphere(0.1), position=(0, 0, 0.1)), gravity=NO_GRAVITY)
     zero = 0 * spin
     starts = (
         per_env("restitution", restitution),
@@ -351,19 +316,9 @@ def eccentric():
     inertia = rod.inertia[0][0] / rod.volume
     arm = 0.499 * np.cos(angle)
     impulse = (1 + restitution) / (1 + arm**2 / inertia)
-
-    def scene():
-        made = level_scene(gravity=NO_GRAVITY, friction=0.0, restitution=restitution)
-        made.add_body(
-            rod,
-            mass=1.0,
-            position=(0, 0, 0.253),
-            orientation=turn_about((0, 1, 0), 60),
-            linear_velocity=(0, 0, -1),
-            friction=0.0,
-            restitution=restitution,
-        )
-        return made
+    surface = {"friction": 0.0, "restitution": restitution}
+    turn = turn_about((0, 1, 0), 60)
+    falling = body(rod, mass=1.0, position=(0, 0, 0.253), orientation=turn, linear_velocity=(0, 0, -1), **surface)
 
     def spin_after(t):
         return np.abs(t.angular_velocity[-1, :, 1, 1])
@@ -374,20 +329,14 @@ def eccentric():
         "Newton's law of impact at the tip, closed form",
         measured("velocity", "m/s", lambda t: t.linear_velocity[-1, :, 1, 2], relative(1e-3), impulse - 1),
         measured("spin", "rad/s", spin_after, relative(1e-3), impulse * arm / inertia),
-        of=Experiment(scene, 0.02, dt=1 / 1000),
+        of=Experiment(on_ground(falling, gravity=NO_GRAVITY, **surface), 0.02, dt=1 / 1000),
     )
 
 
 def random_impacts(count):
     """Random impacts of boxes with all restitutions and frictions; no impact may gain energy."""
     draw = np.random.default_rng(0)
-
-    def scene():
-        made = Scene(gravity=NO_GRAVITY)
-        for half in ((0.1, 0.2, 0.3), (0.15, 0.15, 0.05), (0.1, 0.1, 0.1)):
-            made.add_body(Box(half))
-        return made
-
+    scene = in_space(*(body(Box(half)) for half in ((0.1, 0.2, 0.3), (0.15, 0.15, 0.05), (0.1, 0.1, 0.1))))
     place = np.array([[-0.5, 0, 0], [0.5, 0, 0], [0, 0.6, 0]]) + draw.uniform(-0.05, 0.05, (count, 3, 3))
     starts = (
         per_env("restitution", draw.uniform(0, 1, count)),
@@ -424,45 +373,23 @@ def random_impacts(count):
 
 def gas(duration):
     """216 elastic balls hit the ground and one another, and conserve their energy."""
-
-    def scene():
-        made = level_scene(friction=0.0, restitution=1.0)
-        jitter = 1e-3 * np.random.default_rng(1).uniform(-1, 1, (6, 6, 6, 3))
-        for cell in np.ndindex(6, 6, 6):
-            place = 0.21 * np.array(cell) + jitter[cell] + [0, 0, 1.101]
-            made.add_body(Sphere(0.1), mass=10.0, position=place, friction=0.0, restitution=1.0)
-        return made
-
-    return elastic(
-        "216 elastic balls dropped as a cube, dt 1/1000",
-        "SimBenchmark elastic 666; other engines: 8.4e-5 to 1.7e-2",
-        scene,
-        duration,
-        0.01,
-    )
+    jitter = 1e-3 * np.random.default_rng(1).uniform(-1, 1, (6, 6, 6, 3))
+    places = [0.21 * np.array(cell) + jitter[cell] + [0, 0, 1.101] for cell in np.ndindex(6, 6, 6)]
+    source = "SimBenchmark elastic 666; other engines: 8.4e-5 to 1.7e-2"
+    return elastic("216 elastic balls dropped as a cube, dt 1/1000", source, places, duration)
 
 
 def drop_of_49():
     """49 elastic balls bounce from a height of 5 m."""
-
-    def scene():
-        made = level_scene(friction=0.0, restitution=1.0)
-        for x, y in np.ndindex(7, 7):
-            place = (0.3 * x, 0.3 * y, 5.0)
-            made.add_body(Sphere(0.1), mass=10.0, position=place, friction=0.0, restitution=1.0)
-        return made
-
-    return elastic(
-        "49 elastic balls dropped from 5 m for 20 s, dt 1/1000",
-        "SimBenchmark bouncing; other engines: 5.7e-6 to 1.1e-2",
-        scene,
-        20.0,
-        0.01,
-    )
+    places = [(0.3 * x, 0.3 * y, 5.0) for x, y in np.ndindex(7, 7)]
+    source = "SimBenchmark bouncing; other engines: 5.7e-6 to 1.1e-2"
+    return elastic("49 elastic balls dropped from 5 m for 20 s, dt 1/1000", source, places, 20.0)
 
 
-def elastic(title, source, scene, duration, limit):
-    """Checks of the energy of elastic balls relative to the start."""
+def elastic(title, source, places, duration):
+    """Checks of the energy of elastic balls on elastic ground relative to the start."""
+    surface = {"friction": 0.0, "restitution": 1.0}
+    balls = (body(Sphere(0.1), mass=10.0, position=place, **surface) for place in places)
 
     def off(t):
         return t.energy / t.energy[0] - 1.0
@@ -474,8 +401,8 @@ def elastic(title, source, scene, duration, limit):
         "V21",
         title,
         source,
-        measured("energy error, root mean square", "", root_mean_square, at_most(limit)),
-        measured("energy gained", "", lambda t: off(t).max(axis=0), at_most(limit)),
-        of=Experiment(scene, duration, dt=1e-3, every=10),
+        measured("energy error, root mean square", "", root_mean_square, at_most(0.01)),
+        measured("energy gained", "", lambda t: off(t).max(axis=0), at_most(0.01)),
+        of=Experiment(on_ground(*balls, **surface), duration, dt=1e-3, every=10),
         curve=Curve("energy over that at the start", "", lambda t: t.energy / t.energy[0]),
     )

@@ -1,16 +1,18 @@
 """Sections G and H: granular piles, for which order and trend are known, and a heap at 60 Hz."""
 
+from functools import partial
+
 import numpy as np
 
 from warp_rigid.scenes.builders import piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import AT_LEAST, Check, Curve, Miss, ValidationCase, at_most, case, each, measured
+from warp_rigid.scenes.builders.parts import on_ground
+from warp_rigid.validation.case import AT_LEAST, Cases, Check, Curve, Miss, at_most, case, each, measured
 from warp_rigid.validation.common import per_env
 from warp_rigid.validation.experiment import Experiment
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; only the bin, with fewer boxes, is quick."""
     if quick:
         return [bins_of_boxes(64, 8)]
@@ -23,11 +25,6 @@ def heap(base=6):
     friction = np.array([0.0, 0.1, 0.2, 0.6, 0.6, 0.6])
     rolling = np.array([0.0, 0.0, 0.0, 0.0, 2e-3, 1e-2])
     names = tuple(f"mu {mu:g}, rolling {1e3 * c:g} mm" for mu, c in zip(friction, rolling, strict=True))
-
-    def scene():
-        made = level_scene()
-        stacks.add_ball_pyramid(made, base, radius)
-        return made
 
     def kept(trace, time=3.0):
         height = trace.position[:, :, 1:, 2].mean(axis=2) - radius
@@ -49,7 +46,11 @@ def heap(base=6):
         ),
         measured("height kept with most friction", "", kept, AT_LEAST, 0.9, rows=slice(-1, None)),
         of=Experiment(
-            scene, 3.0, names, (per_env("friction", friction), per_env("rolling_friction", rolling)), every=24
+            on_ground(partial(stacks.add_ball_pyramid, base=base, radius=radius)),
+            3.0,
+            names,
+            (per_env("friction", friction), per_env("rolling_friction", rolling)),
+            every=24,
         ),
     )
 
@@ -69,11 +70,9 @@ def bins_of_boxes(count, bins, moves=None):
     """
     friction = BIN_FRICTION + 0.001 * np.arange(bins)
 
-    def scene():
-        made = level_scene(friction=BIN_FRICTION)
-        piles.add_pile_bin(made, count, friction=BIN_FRICTION)
-        add_bodies(made, stacks.CUBE, *piles.starts(count, 1000), friction=BIN_FRICTION)
-        return made
+    def cubes(scene):
+        piles.add_pile_bin(scene, count, friction=BIN_FRICTION)
+        add_bodies(scene, stacks.CUBE, *piles.starts(count, 1000), friction=BIN_FRICTION)
 
     def speed(traces):
         return np.median(each(lambda t: t.speed[-1])(traces))
@@ -89,7 +88,12 @@ def bins_of_boxes(count, bins, moves=None):
         Check("largest speed after 6 s", "m/s or rad/s", speed, at_most(BIN_RESTING), labels=label, miss=moves),
         Check("deepest overlap after 6 s", "m", overlap, at_most(2.5e-4), labels=label),
         of=Experiment(
-            scene, 6.0, tuple(f"mu {mu:.3f}" for mu in friction), (per_env("friction", friction),), dt=1 / 60, every=30
+            on_ground(cubes, friction=BIN_FRICTION),
+            6.0,
+            tuple(f"mu {mu:.3f}" for mu in friction),
+            (per_env("friction", friction),),
+            dt=1 / 60,
+            every=30,
         ),
         curve=Curve("largest speed", "m/s or rad/s", lambda t: t.speed),
     )

@@ -12,7 +12,7 @@ from warp_rigid.scene.shapes.base import Grid, frozen_array
 from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.validation import solids
-from warp_rigid.validation.case import AT_LEAST, Check, ValidationCase, absolute, at_most, case, relative
+from warp_rigid.validation.case import AT_LEAST, Cases, Check, absolute, at_most, case, relative
 
 BAND = 3.0
 """Half the width of the band around a surface where distances are compared [cells]."""
@@ -20,7 +20,7 @@ FINE = 64
 """Cells of the longest side of the ball whose normals are compared."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; coarser if quick."""
     cells = (32, 64) if quick else (32, 64, 128)
     return [

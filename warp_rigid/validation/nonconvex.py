@@ -6,23 +6,24 @@ from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh, Sphere
 from warp_rigid.scenes.builders import meshes
-from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.scenes.builders.parts import body, in_space, on_ground, static
 from warp_rigid.validation import solids
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
+    Cases,
     Check,
     Curve,
     Miss,
-    ValidationCase,
     absolute,
     at_most,
     case,
     measured,
     relative,
 )
-from warp_rigid.validation.common import NO_GRAVITY, turn_about
+from warp_rigid.validation.common import NO_GRAVITY, G, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
+from warp_rigid.validation.towers import tilt
 
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
 PARTED = 1e-4
@@ -33,7 +34,7 @@ OVER = 1e-4
 """Initial gap below a dropped tip [m]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; only the fast ones if quick."""
     listed = [sliding_tips(), tips_on_tips(), internal_edges(0.5 if quick else 2.0), push_out()]
     if quick:
@@ -58,14 +59,11 @@ def sliding_tips():
     """A tip that slides over a plane must not snag."""
 
     def experiment(name, shape):
-        def scene():
-            made = level_scene(gravity=NO_GRAVITY, friction=0.0)
-            made.add_body(
-                shape(), position=(0, 0, 3.0 + OVER), orientation=OVERTURNED, linear_velocity=(10, 0, 0), friction=0.0
-            )
-            return made
+        def tip(made):
+            place = (0, 0, 3.0 + OVER)
+            made.add_body(shape(), position=place, orientation=OVERTURNED, linear_velocity=(10, 0, 0), friction=0.0)
 
-        return Experiment(scene, 1.0, dt=0.01, label=name)
+        return Experiment(on_ground(tip, gravity=NO_GRAVITY, friction=0.0), 1.0, dt=0.01, label=name)
 
     return case(
         "V49",
@@ -117,12 +115,8 @@ def internal_edges(duration):
         return Mesh.from_trimesh(fine)
 
     def experiment(name, half, pieces):
-        def scene():
-            made = Scene()
-            made.add_static(slab(pieces), position=(0, 0, -0.5))
-            made.add_body(Box(half), position=(0, 0, half[2] + 0.05))
-            return made
-
+        cube = body(Box(half), position=(0, 0, half[2] + 0.05))
+        scene = in_space(lambda made: made.add_static(slab(pieces), position=(0, 0, -0.5)), cube, gravity=(0, 0, -G))
         return Experiment(scene, duration, label=name, every=2)
 
     return case(
@@ -139,11 +133,6 @@ def internal_edges(duration):
             experiment("flush with the rim", (1.0, 1.0, 0.5), 2),
         ),
     )
-
-
-def tilt(trace):
-    """Angle of the cube's upright axis to the vertical at the end, (envs,) [deg]."""
-    return np.degrees(np.arccos(np.clip(trace.turns[-1, :, 1, 2, 2], -1, 1)))
 
 
 def rest_height(trace):
@@ -163,16 +152,13 @@ def push_out():
     }
 
     def experiment(name, shape, cells):
-        def scene():
-            made = Scene(gravity=NO_GRAVITY)
+        def add(made):
             made.add_body(shape())
-            made.add_body(shape())
-            return made
 
         overlap, degrees = np.array(cells, np.float64).T
         place = np.stack([0.2 * (1 - overlap), 0 * overlap + 0.01, 0 * overlap + 0.02], axis=1)
         return Experiment(
-            scene,
+            in_space(add, add),
             0.5,
             tuple(f"{100 * share:g} % of the width, turned by {angle:g} deg" for share, angle in cells),
             (
@@ -185,7 +171,8 @@ def push_out():
 
     experiments = tuple(experiment(name, *row) for name, row in rows.items())
     stuck = experiment("cubes", lambda: cube, ((0.8, 35),))
-    crossing = Experiment(crossing_boxes, 0.5, ("two boxes whose edges cross",), watch_overlap=True)
+    boxes = in_space(*(body(Box(half), position=place, orientation=turn) for half, place, turn in CROSSING))
+    crossing = Experiment(boxes, 0.5, ("two boxes whose edges cross",), watch_overlap=True)
     count, of_bunnies = (sum(len(one.variants) for one in some) for some in (experiments, experiments[3:]))
 
     def check(first, end, miss=None):
@@ -206,15 +193,11 @@ def push_out():
     )
 
 
-def crossing_boxes() -> Scene:
-    """Two boxes of a pile whose edges cross with an overlap of 2 mm."""
-    made = Scene(gravity=NO_GRAVITY)
-    for half, place, turn in (
-        ((0.084392, 0.06487, 0.066778), (0.241749, -0.229452, 0.064856), (-0.70698, -0.013248, -0.013241, -0.706985)),
-        ((0.035003, 0.040402, 0.040368), (0.103323, -0.199384, 0.130609), (-0.533362, 0.327473, 0.757487, -0.185743)),
-    ):
-        made.add_body(Box(half), position=place, orientation=turn)
-    return made
+CROSSING = (
+    ((0.084392, 0.06487, 0.066778), (0.241749, -0.229452, 0.064856), (-0.70698, -0.013248, -0.013241, -0.706985)),
+    ((0.035003, 0.040402, 0.040368), (0.103323, -0.199384, 0.130609), (-0.533362, 0.327473, 0.757487, -0.185743)),
+)
+"""Half extents, positions and orientations of two boxes of a pile whose edges cross with an overlap of 2 mm."""
 
 
 def random_overlaps(count):
@@ -222,13 +205,7 @@ def random_overlaps(count):
     draw = np.random.default_rng(11)
     away = draw.normal(size=(count, 3))
     away *= (draw.uniform(0.09, 0.16, count) / np.linalg.norm(away, axis=1))[:, None]
-
-    def scene():
-        made = Scene(gravity=NO_GRAVITY)
-        made.add_body(Box((0.084, 0.065, 0.067)))
-        made.add_body(Box((0.035, 0.04, 0.04)))
-        return made
-
+    scene = in_space(body(Box((0.084, 0.065, 0.067))), body(Box((0.035, 0.04, 0.04))))
     starts = (Start("position", away[:, None], bodies=[1]), Start("orientation", rotations.random(draw, count, 2)))
 
     def parted(s):
@@ -265,18 +242,13 @@ def bypass(dt):
     place = np.array([(sides[name], 0, 5.0 + phase / phases * speed * dt) for name, phase in cells])
     arm, gyration = 0.8, (2.0**2 + 0.2**2) / 12.0
     kept = 1.0 - 1.0 / (1.0 + arm**2 / gyration)
-
-    def scene():
-        made = Scene(gravity=NO_GRAVITY)
-        made.add_static(Box((10.0, 1.0, 0.05)), friction=0.0)
-        made.add_body(Box((1.0, 1.0, 0.1)), linear_velocity=(0, 0, -speed), friction=0.0)
-        return made
+    square = body(Box((1.0, 1.0, 0.1)), linear_velocity=(0, 0, -speed), friction=0.0)
 
     def passed(trace):
         return trace.position[:, :, 1, 2].min(axis=0) < -1.0
 
     experiment = Experiment(
-        scene,
+        in_space(static(Box((10.0, 1.0, 0.05)), friction=0.0), square),
         0.3,
         tuple(f"{name}, phase {phase}/{phases}" for name, phase in cells),
         (Start("position", place[:, None], bodies=[1]),),

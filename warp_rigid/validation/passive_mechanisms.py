@@ -11,7 +11,7 @@ from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.validation.articulated import GRAVITY, exact_period, pendulum, period_of
-from warp_rigid.validation.case import Check, Miss, ValidationCase, at_most, case, measured, relative
+from warp_rigid.validation.case import Cases, Check, Miss, ValidationCase, at_most, case, measured, relative
 from warp_rigid.validation.experiment import Experiment, Trace
 
 ANGLES = (10.0, 90.0, 150.0, 178.0)
@@ -31,7 +31,7 @@ LAYER = 0.06
 """Distance of the planes in which bars move, so that they do not meet [m]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; for a shorter time and with fewer steps if quick."""
     duration, rates = (SHORT, RATES[:2]) if quick else (120.0, RATES)
     return [pendulums(duration, rates), mechanisms(duration, rates, 5 if quick else 50)]

@@ -3,15 +3,15 @@
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
-from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import OUTCOME, Curve, ValidationCase, at_most, case, measured, relative
+from warp_rigid.scenes.builders.parts import body, on_ground
+from warp_rigid.validation.case import OUTCOME, Cases, Curve, at_most, case, measured, relative
 from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
 
 COULOMB = "Coulomb's law, closed form"
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """Cases of rolling and spinning; shorter if quick."""
     return [
         slide_to_roll(),
@@ -27,13 +27,7 @@ def cases(quick: bool) -> list[ValidationCase]:
 
 def ball(radius=0.1, **options):
     """Experiment: a ball on level ground; options as for Experiment."""
-
-    def scene():
-        made = level_scene()
-        made.add_body(Sphere(radius), position=(0, 0, radius))
-        return made
-
-    return Experiment(scene, **options)
+    return Experiment(on_ground(body(Sphere(radius), position=(0, 0, radius))), **options)
 
 
 def slip_speed(trace, radius):
@@ -122,12 +116,7 @@ def rolling_race():
     experiments, ways = [], []
     for name, shape, inertia in (("sphere", Sphere(0.1), 0.4), ("cylinder", Cylinder(0.1, 0.3), 0.5)):
         needed = np.tan(slope) * inertia / (1 + inertia)
-
-        def scene(shape=shape):
-            made = level_scene()
-            made.add_body(shape, position=(0, 0, 0.1), orientation=turn_about((1, 0, 0), 90))
-            return made
-
+        scene = on_ground(body(shape, position=(0, 0, 0.1), orientation=turn_about((1, 0, 0), 90)))
         starts = per_env("friction", shares * needed), Start("gravity", downhill(30.0))
         variants = tuple(f"{name}, {share:g} of the friction to roll" for share in shares)
         experiments.append(Experiment(scene, 1.0, variants, starts, every=4))
@@ -231,15 +220,9 @@ def force_direction(duration):
     mass, balls, mu, force = 10.0, 25, 0.4, 150.0
     angles = np.array([0.0, 30.0, 45.0, 60.0])
     box_rate = (force - mu * (mass + balls) * G) / (mass + 2 / 7 * balls)
-
-    def scene():
-        made = level_scene(friction=mu)
-        made.add_body(Box((10, 10, 0.5)), position=(0, 0, 0.5), mass=mass, friction=0.8)
-        for x in range(-4, 5, 2):
-            for y in range(-4, 5, 2):
-                made.add_body(Sphere(0.5), position=(x, y, 1.5), mass=1.0, friction=0.8)
-        return made
-
+    places = [(x, y, 1.5) for x in range(-4, 5, 2) for y in range(-4, 5, 2)]
+    parts = [body(Box((10, 10, 0.5)), position=(0, 0, 0.5), mass=mass, friction=0.8)]
+    parts += [body(Sphere(0.5), position=place, mass=1.0, friction=0.8) for place in places]
     heading = np.stack([np.cos(np.radians(angles)), np.sin(np.radians(angles)), 0 * angles], axis=1)
 
     def deviation(trace):
@@ -261,7 +244,7 @@ def force_direction(duration):
         ),
         measured("mean squared error of the speeds", "m^2/s^2", deviation, at_most(1e-4)),
         of=Experiment(
-            scene,
+            on_ground(*parts, friction=mu),
             duration,
             tuple(f"{angle:g} deg to x" for angle in angles),
             (Start("force", (force * heading)[:, None], bodies=[1]),),

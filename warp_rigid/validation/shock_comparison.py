@@ -2,14 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from warp_rigid.scenes.builders import stacks
-from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.experiment import DT, Experiment, Trace
-from warp_rigid.validation.towers import HALF, falling_piles, leaning, pyramid_scene, stack_scene
+from warp_rigid.scenes.builders.parts import on_ground
+from warp_rigid.validation.case import AT_LEAST, Check, at_most, measured
+from warp_rigid.validation.experiment import DT, Experiment
+from warp_rigid.validation.towers import HALF, falling_piles, farthest, leaning, pyramid_scene, stack_scene
 
 SCHEMES: dict[str, dict[str, Any]] = {
     "two_pass (default)": {},
@@ -27,29 +29,8 @@ SCHEMES: dict[str, dict[str, Any]] = {
 """Differences from the default settings, and the time step."""
 
 
-@dataclass(frozen=True)
-class Structure:
-    """A structure and its correct behaviour.
-
-    Attributes:
-        name: heading of its column.
-        experiment: its simulation.
-        measure: function(trace) -> the decisive figure.
-        unit: of the figure.
-        limit: largest correct figure.
-        must_fall: whether a figure is correct only above the limit instead.
-    """
-
-    name: str
-    experiment: Experiment
-    measure: Callable[[Trace], float]
-    unit: str
-    limit: float
-    must_fall: bool = False
-
-    def right(self, value: float) -> bool:
-        """Whether a figure is correct."""
-        return bool(value > self.limit) if self.must_fall else bool(value <= self.limit)
+Structure = tuple[Experiment, Check]
+"""A simulation, and the check of its decisive figure, whose quantity is the heading of its column."""
 
 
 def structures(quick: bool) -> list[Structure]:
@@ -57,31 +38,24 @@ def structures(quick: bool) -> list[Structure]:
     duration = 2.0 if quick else 5.0
     tall, layers, count = (20, 8, 20) if quick else (50, 20, 40)
 
-    def displaced(trace):
-        return float(trace.displacement.max())
-
     def end_speed(trace):
-        late = trace.time > trace.time[-1] - 0.5
-        return float(trace.speed[late].max())
+        return trace.speed[trace.time > trace.time[-1] - 0.5].max(axis=0)
 
-    def fall(trace):
-        return float(trace.displacement[-1].max())
-
-    def three():
-        scene = level_scene()
-        stacks.add_stack(scene, 4, masses=[8.0, 8.0, 8.0, 8000.0])
-        return scene
+    def still(name, scene, limit=1e-4):
+        return Experiment(scene, duration), measured(name, "m", farthest, at_most(limit))
 
     pile = falling_piles(2.0 * duration, count).experiments[0]
     one_pile = replace(pile, variants=("",), starts=(replace(pile.starts[0], value=pile.starts[0].value[:1]),))
+    heavy = on_ground(partial(stacks.add_stack, count=4, masses=[8.0, 8.0, 8.0, 8000.0]))
+    fall = measured("leans 0.15 w", "m", lambda t: t.displacement[-1], AT_LEAST, HALF)
     return [
-        Structure("10 high", Experiment(lambda: stack_scene(10), duration), displaced, "m", 1e-4),
-        Structure(f"{tall} high", Experiment(lambda: stack_scene(tall), duration), displaced, "m", 1e-4),
-        Structure("leans 0.15 w", leaning([0.15], ["default"], duration), fall, "m", HALF, must_fall=True),
-        Structure("leans 0.08 w", leaning([0.08], ["default"], duration), displaced, "m", 1e-4),
-        Structure("1000 : 1 on three", Experiment(three, duration), displaced, "m", 5e-4),
-        Structure(f"pyramid, {layers} rows", Experiment(lambda: pyramid_scene(layers), duration), displaced, "m", 1e-4),
-        Structure(f"pile of {count}, speed", one_pile, end_speed, "m/s", 0.01),
+        still("10 high", partial(stack_scene, 10)),
+        still(f"{tall} high", partial(stack_scene, tall)),
+        (leaning([0.15], ["default"], duration), fall),
+        (leaning([0.08], ["default"], duration), measured("leans 0.08 w", "m", farthest, at_most(1e-4))),
+        still("1000 : 1 on three", heavy, 5e-4),
+        still(f"pyramid, {layers} rows", partial(pyramid_scene, layers)),
+        (one_pile, measured(f"pile of {count}, speed", "m/s", end_speed, at_most(0.01))),
     ]
 
 
@@ -107,41 +81,45 @@ def compare(device: str, quick: bool, on_cell: Callable[[], None] | None = None)
         For each scheme and structure by name, its cell.
     """
     made = structures(quick)
-    return {name: {one.name: _cell(one, scheme, device, on_cell) for one in made} for name, scheme in SCHEMES.items()}
+    return {
+        name: {check.quantity: _cell(experiment, check, scheme, device, on_cell) for experiment, check in made}
+        for name, scheme in SCHEMES.items()
+    }
 
 
-def _cell(structure: Structure, scheme: dict[str, Any], device: str, on_cell) -> Cell:
+def _cell(experiment: Experiment, check: Check, scheme: dict[str, Any], device: str, on_cell) -> Cell:
     dt = scheme.get("dt", DT)
     settings = {name: value for name, value in scheme.items() if name != "dt"}
     # The scheme applies to the whole batch; settings of single environments must not override it.
-    starts = tuple(start for start in structure.experiment.starts if start.name in ("position", "orientation"))
+    starts = tuple(start for start in experiment.starts if start.name in ("position", "orientation"))
     every = max(1, round(0.05 / dt))
-    trace = replace(structure.experiment, settings=settings, starts=starts, dt=dt, every=every).run(device)
+    trace = replace(experiment, settings=settings, starts=starts, dt=dt, every=every).run(device)
     if on_cell:
         on_cell()
-    value = structure.measure(trace) if not trace.failed.any() else np.nan
-    return Cell(value, structure.right(value), 1e3 * trace.seconds * DT / trace.time[-1])
+    value = np.asarray(check.measure((trace,)), np.float64)
+    right = (check.tolerance.error(value, np.asarray(check.reference)) <= check.tolerance.limit).all()
+    return Cell(float(value[0]), bool(right), 1e3 * trace.seconds * DT / trace.time[-1])
 
 
 def rows(table: dict[str, dict[str, Cell]], quick: bool) -> list[list[str]]:
     """The heading and a row for each scheme: its figure on each structure, and its time in brackets."""
     made = structures(quick)
-    heading = ["scheme", *(one.name for one in made), "right"]
+    heading = ["scheme", *(check.quantity for _, check in made), "right"]
     found = []
     for scheme, cells in table.items():
-        texts = [_text(one, cells[one.name]) for one in made]
+        texts = [_text(check, cells[check.quantity]) for _, check in made]
         found.append([scheme, *texts, f"{sum(cell.right for cell in cells.values())} of {len(made)}"])
     return [heading, *found]
 
 
-def _text(structure: Structure, cell: Cell) -> str:
+def _text(check: Check, cell: Cell) -> str:
     """Text of a cell."""
-    if structure.must_fall:
+    if check.tolerance is AT_LEAST:
         words = "falls" if cell.right else "STANDS"
-    elif structure.unit == "m" and cell.value > HALF:
+    elif check.unit == "m" and cell.value > HALF:
         words = "COLLAPSES"
-    elif structure.unit == "m":
+    elif check.unit == "m":
         words = f"{1e3 * cell.value:.2g} mm{'' if cell.right else ' !'}"
     else:
-        words = f"{cell.value:.2g} {structure.unit}{'' if cell.right else ' !'}"
+        words = f"{cell.value:.2g} {check.unit}{'' if cell.right else ' !'}"
     return f"{words} [{cell.milliseconds:.2g}]"

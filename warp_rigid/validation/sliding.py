@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Compound, Sphere
-from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import Check, Curve, ValidationCase, case, each, relative
+from warp_rigid.scenes.builders.parts import body, on_ground
+from warp_rigid.validation.case import Cases, Check, Curve, case, each, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
@@ -20,7 +20,7 @@ STOPPED = 2e-3
 """Speed below which a body counts as stopped, of its centre and of its feet by the spin [m/s]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; fewer feet if quick."""
     return [rings((3, 24) if quick else (3, 6, 12, 24)), box_on_four_corners()]
 
@@ -84,16 +84,10 @@ def stops(trace: Trace) -> np.ndarray:
 
 def slide(shape, height, label) -> Experiment:
     """Experiment: a body that slides and spins on level ground, an environment for each of MOTIONS."""
-
-    def scene():
-        made = level_scene(friction=MU)
-        made.add_body(shape(), position=(0, 0, height), friction=MU)
-        return made
-
     velocity = np.array([[(speed, 0.0, 0.0)] for speed, _ in MOTIONS])
     spin = np.array([[(0.0, 0.0, w)] for _, w in MOTIONS])
     return Experiment(
-        scene,
+        on_ground(body(shape, position=(0, 0, height), friction=MU), friction=MU),
         1.5,
         tuple(f"{speed:g} m/s, {w:g} rad/s" for speed, w in MOTIONS),
         (Start("linear_velocity", velocity, bodies=[1]), Start("angular_velocity", spin, bodies=[1])),
@@ -134,7 +128,7 @@ def rings(counts):
     """A light ring on feet close to the ground, all with the same load."""
 
     def ring(count):
-        return lambda: Compound([(Sphere(FOOT_RADIUS), place, (0, 0, 0, 1)) for place in ring_feet(count)])
+        return Compound([(Sphere(FOOT_RADIUS), place, (0, 0, 0, 1)) for place in ring_feet(count)])
 
     experiments = tuple(slide(ring(n), FOOT_RADIUS, f"{n} feet") for n in counts)
 
@@ -152,7 +146,7 @@ def box_on_four_corners():
     """A box on its four lower corners, whose loads follow from statics."""
     corners = np.array([(x, y, 0.0) for x in (-BOX_HALF[0], BOX_HALF[0]) for y in (-BOX_HALF[1], BOX_HALF[1])])
     gyration = np.sqrt((BOX_HALF[0] ** 2 + BOX_HALF[1] ** 2) / 3.0)
-    experiment = slide(lambda: Box(BOX_HALF), BOX_HALF[2], "")
+    experiment = slide(Box(BOX_HALF), BOX_HALF[2], "")
     return case(
         "V75",
         "box on its four corners that slides and spins, mu 0.3",

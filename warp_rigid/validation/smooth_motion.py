@@ -4,7 +4,9 @@ import numpy as np
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Heightfield, Sphere
-from warp_rigid.validation.case import ValidationCase, absolute, at_most, case, measured
+from warp_rigid.scenes.builders.grounds import EARTH
+from warp_rigid.scenes.builders.parts import body, in_space, static
+from warp_rigid.validation.case import Cases, ValidationCase, absolute, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment
 
 RADIUS, SPEED = 0.05, 1.5
@@ -13,7 +15,7 @@ PLACES = (0.2, 0.4, 0.6, 0.9)
 """Distances of the boxes on a turntable from its axis, below the friction limit of 1.23 m [m]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; fewer time steps if quick."""
     steps = (1 / 60, 1 / 240) if quick else (1 / 60, 1 / 120, 1 / 240, 1 / 480)
     return [rolling(steps), flush_landing(), turntable(steps, 2.0 if quick else 10.0)]
@@ -21,21 +23,12 @@ def cases(quick: bool) -> list[ValidationCase]:
 
 def rolling(steps) -> ValidationCase:
     """A ball that rolls over a height field of small cells."""
+    motion = {"linear_velocity": (SPEED, 0, 0), "angular_velocity": (0, SPEED / RADIUS, 0)}
+    ball = body(Sphere(RADIUS), position=(-1.13, 0.003, RADIUS), friction=1.0, **motion)
 
     def scene(cells: int):
-        def build():
-            made = Scene()
-            made.add_static(Heightfield(np.zeros((cells + 1, cells + 1)), (4, 4)), friction=1.0)
-            made.add_body(
-                Sphere(RADIUS),
-                position=(-1.13, 0.003, RADIUS),
-                linear_velocity=(SPEED, 0, 0),
-                angular_velocity=(0, SPEED / RADIUS, 0),
-                friction=1.0,
-            )
-            return made
-
-        return build
+        flat = Heightfield(np.zeros((cells + 1, cells + 1)), (4, 4))
+        return in_space(static(flat, friction=1.0), ball, gravity=EARTH)
 
     experiments = tuple(
         Experiment(scene(cells), duration=1.5, dt=dt, label=f"{4 / cells:g} m, dt 1/{1 / dt:.0f}")
@@ -56,13 +49,9 @@ def flush_landing() -> ValidationCase:
     """A box that lands flush on a box of equal or double width."""
 
     def scene(ratio: float):
-        def build():
-            made = Scene()
-            made.add_static(Box((2 * HALF * ratio,) * 3), position=(0, 0, 2 * HALF * ratio), friction=0.6)
-            made.add_body(Box((2 * HALF,) * 3), position=(0, 0, 4 * HALF * ratio + 2 * HALF + 0.15), friction=0.6)
-            return made
-
-        return build
+        below = static(Box((2 * HALF * ratio,) * 3), position=(0, 0, 2 * HALF * ratio), friction=0.6)
+        box = body(Box((2 * HALF,) * 3), position=(0, 0, 4 * HALF * ratio + 2 * HALF + 0.15), friction=0.6)
+        return in_space(below, box, gravity=EARTH)
 
     return case(
         "V101",

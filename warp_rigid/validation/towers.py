@@ -1,6 +1,7 @@
 """Section E: stacks, towers, pyramids and piles, with and without shock propagation."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,13 @@ from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders import grounds, piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.scenes.builders.parts import body, on_ground
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
+    Cases,
     Check,
     Curve,
-    ValidationCase,
     absolute,
     at_most,
     case,
@@ -34,7 +36,7 @@ OWN = 1e-4
 """Permitted displacement of a stack [m]."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; lower and shorter if quick."""
     listed = [
         heavy_on_light(1.0 if quick else 10.0),
@@ -61,7 +63,7 @@ def stack_scene(count: int, half: float = HALF, friction: float = 0.5) -> Scene:
 def pyramid_scene(rows: int) -> Scene:
     """A pyramid of cubes of 0.2 m on level ground."""
     scene = level_scene()
-    stacks.add_pyramid(scene, rows)
+    add_bodies(scene, stacks.CUBE, stacks.pyramid(rows))
     return scene
 
 
@@ -131,13 +133,7 @@ def heavy_on_light(duration):
 
 def heavy_dropped_on_light(duration):
     """A cube of 1 m falls by 0.1 m, and a cube of 10 m with 1000 times its mass falls on it."""
-
-    def scene():
-        made = level_scene()
-        made.add_body(Box((0.5,) * 3), position=(0, 0, 0.6))
-        made.add_body(Box((5.0,) * 3), position=(0, 0, 6.5))
-        return made
-
+    scene = on_ground(body(Box((0.5,) * 3), position=(0, 0, 0.6)), body(Box((5.0,) * 3), position=(0, 0, 6.5)))
     return case(
         "V35",
         "cube of 10 m dropped on one of 1 m, 1000 : 1, dt 1/100",
@@ -192,12 +188,7 @@ def tall_stack(count, duration):
 
 def spheres(duration):
     """Five spheres of radius 1 m on top of one another: an unstable equilibrium that symmetry preserves."""
-
-    def scene():
-        made = level_scene()
-        stacks.add_stack(made, 5, Sphere(1.0))
-        return made
-
+    scene = on_ground(lambda made: stacks.add_stack(made, 5, Sphere(1.0)))
     return case(
         "V37",
         "column of five spheres, R 1",
@@ -394,13 +385,14 @@ def falling_piles(duration, count):
     )
 
 
+def card_house_scene(storeys):
+    """A function that builds a card house on level ground, with cards at 65 degrees."""
+    cards = partial(stacks.add_card_house, storeys=storeys, angle=np.radians(25.0), friction=0.7)
+    return on_ground(cards, friction=0.7)
+
+
 def card_house(levels, duration):
     """Pairs of cards that lean on each other, with level cards between the storeys."""
-
-    def scene():
-        made = level_scene(friction=0.7)
-        stacks.add_card_house(made, levels, np.radians(25.0), friction=0.7)
-        return made
 
     def dropped(t):
         return (1 - t.position[-1][:, t.dynamic, 2] / t.position[0][:, t.dynamic, 2]).max(axis=1)
@@ -410,36 +402,27 @@ def card_house(levels, duration):
         f"card house of {levels} storeys, 65 degrees, thickness 0.02 of the length",
         "rigid-ipc and box3d: no card drops by 5 % of its height in 2 s",
         measured("largest drop relative to the height", "", dropped, at_most(0.05)),
-        of=Experiment(scene, duration, every=4),
+        of=Experiment(card_house_scene(levels), duration, every=4),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
 
 def beams(duration):
     """Thirty crossed layers of two beams."""
-
-    def scene():
-        made = level_scene(rolling_friction=0.05)
-        stacks.add_crossed_layers(made, 30, rolling_friction=0.05)
-        return made
-
+    layers = partial(stacks.add_crossed_layers, layers=30, rolling_friction=0.05)
     return case(
         "V45",
         "tower of thirty crossed layers of two beams, 10 s",
         "box3d: the tower stands",
         measured("largest displacement", "m", farthest, at_most(0.01)),
-        of=Experiment(scene, duration, every=24),
+        of=Experiment(on_ground(layers, rolling_friction=0.05), duration, every=24),
     )
 
 
 def balls_that_spread(duration):
     """A cube of 216 frictionless balls collapses; overlaps must stay small."""
-
-    def scene():
-        made = level_scene(friction=0.0)
-        cells = np.array(list(np.ndindex(6, 6, 6)))
-        add_bodies(made, Sphere(0.1), 0.21 * cells + [0, 0, 0.101], mass=10.0, friction=0.0)
-        return made
+    places = 0.21 * np.array(list(np.ndindex(6, 6, 6))) + [0, 0, 0.101]
+    balls = partial(add_bodies, shapes=Sphere(0.1), positions=places, mass=10.0, friction=0.0)
 
     def squares(trace):
         sums = []
@@ -454,5 +437,5 @@ def balls_that_spread(duration):
         "216 frictionless balls that collapse, 10 s, dt 1/1000",
         "SimBenchmark 666; other engines: 1.35e-4 to 0.38 m^2",
         measured("sum of squared overlaps, mean over time", "m^2", squares, at_most(1e-3)),
-        of=Experiment(scene, duration, dt=1e-3, every=20),
+        of=Experiment(on_ground(balls, friction=0.0), duration, dt=1e-3, every=20),
     )

@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
-from warp_rigid.validation.case import Check, ValidationCase, absolute, at_most, case, measured, relative
+from warp_rigid.validation.case import Cases, Check, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import NO_GRAVITY
 from warp_rigid.validation.experiment import Experiment, Start
 
@@ -24,7 +24,7 @@ STRATA = 80
 """Cells of a side of the box of stratified points; volumes of solids that fill a tenth of it are exact to 0.1 %."""
 
 
-def cases(quick: bool) -> list[ValidationCase]:
+def cases(quick: bool) -> Cases:
     """All cases of the section; one vessel and one body if quick."""
     if quick:
         return [vessels(("tray",), (200,), ("box",)), plates(), unions(("ball and box",))]
