@@ -21,8 +21,6 @@ from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import Camera, camera_of_text
 from warp_rigid.scene.scene import Motion
 
-__all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
-
 
 @dataclass(frozen=True, eq=False)
 class DrawnMesh:

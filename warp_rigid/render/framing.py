@@ -15,18 +15,6 @@ from warp_rigid.render.shading import CameraView
 from warp_rigid.rotations import rotate
 from warp_rigid.scene.camera import Camera
 
-__all__ = [
-    "CameraPath",
-    "camera_directions",
-    "event_end",
-    "fit_camera",
-    "is_placed",
-    "place_at_body",
-    "place_camera",
-    "points_to_see",
-    "shifted",
-]
-
 TOWARD_LIGHT = (-0.35, -0.55, 1.0)
 DEFAULT = Camera()
 MARGIN = 1.12

@@ -22,8 +22,6 @@ from warp_rigid.threads import exclusive
 
 wp.set_module_options({"enable_backward": False})
 
-__all__ = ["RayCaster"]
-
 FAR = wp.constant(1.0e6)
 SECTION_SHADE = wp.constant(0.8)  # brightness of the inside of a solid that is cut open
 LAMP_RADIUS = 0.05

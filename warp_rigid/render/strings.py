@@ -9,8 +9,6 @@ from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.joints import DistanceJoint
 
-__all__ = ["with_strings"]
-
 SIDES = 6
 """Sides of a tube."""
 THICKNESS = 0.02

@@ -16,8 +16,6 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import SURFACE_VELOCITIES
 
-__all__ = ["BODY_PROPERTIES", "PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
-
 BODY_PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, *SURFACE_VELOCITIES, "active")
 SELECTING = (*BODY_PROPERTIES, *joint_quantities.WRITABLE)
 """Properties of bodies and of joints, which can be selected by name."""

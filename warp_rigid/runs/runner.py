@@ -33,8 +33,6 @@ from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
 from warp_rigid.usd.robots import ROBOT_SUFFIXES, import_robot
 from warp_rigid.version import __version__
 
-__all__ = ["Plan", "Result", "execute", "find_scene", "plan_run", "set_each", "step_frame"]
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:

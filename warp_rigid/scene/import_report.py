@@ -4,8 +4,6 @@ from dataclasses import dataclass, field
 
 from warp_rigid.scene.camera import Camera
 
-__all__ = ["ImportFinding", "ImportReport"]
-
 
 @dataclass(frozen=True)
 class ImportFinding:

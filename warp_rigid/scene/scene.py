@@ -27,8 +27,6 @@ from warp_rigid.scene.shapes.heightfield import Heightfield
 if TYPE_CHECKING:
     from warp_rigid.scene.import_report import ImportReport
 
-__all__ = ["COMBINE_RULES", "SURFACE_VELOCITIES", "Body", "Motion", "Scene"]
-
 Vector = Sequence[float] | np.ndarray
 
 COMBINE_RULES = tuple(rule.name.lower() for rule in CombineRule)

@@ -24,8 +24,6 @@ from warp_rigid.sweep.observers import Observers
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.structure import structure
 
-__all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
-
 log = logging.getLogger("warp_rigid")
 
 MAX_REASON_LENGTH = 300

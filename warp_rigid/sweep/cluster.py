@@ -16,8 +16,6 @@ from warp_rigid.sweep.job import Job
 from warp_rigid.sweep.worker import capacity_of, device_of
 from warp_rigid.warp_start import start_warp
 
-__all__ = ["cluster_of_file", "run_on_cluster"]
-
 
 def run_on_cluster(
     job: Job, groups: list[list[SizedRun]], batch: int | str, cluster: Any

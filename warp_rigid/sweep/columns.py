@@ -6,8 +6,6 @@ import numpy as np
 
 from warp_rigid.checks import shown
 
-__all__ = ["BOOKKEEPING", "COLUMNS", "FINISHED", "METADATA_TYPES", "REQUIRED_COLUMNS", "Table", "metadata_field"]
-
 FINISHED = ("ok", "out of bounds")
 """Statuses of a completed run. A run continues when bodies leave the bounds."""
 

@@ -36,8 +36,6 @@ from warp_rigid.sweep.worker_processes import MAX_WORKERS, WorkerProcesses
 from warp_rigid.version import __version__
 from warp_rigid.warp_start import start_warp
 
-__all__ = ["sweep"]
-
 log = logging.getLogger("warp_rigid")
 
 MAX_BATCH = 10_000_000

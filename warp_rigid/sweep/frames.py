@@ -7,8 +7,6 @@ import numpy as np
 from warp_rigid.extras import need
 from warp_rigid.sweep.columns import Table
 
-__all__ = ["to_arrow", "to_pandas", "to_polars", "to_xarray"]
-
 
 def to_arrow(result: Table) -> Any:
     """See SweepResult.to_arrow."""

@@ -27,8 +27,6 @@ from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.observers import check_bodies
 from warp_rigid.sweep.structure import structure
 
-__all__ = ["Job", "RunInputs", "group_runs", "make_runs", "run_inputs", "resolve_scene"]
-
 MAX_CACHED_SCENES = 4096
 """Maximum number of scenes cached between the validation of a design and its runs; others are built again."""
 

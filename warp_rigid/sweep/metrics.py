@@ -11,8 +11,6 @@ from warp_rigid.runs.user_code import check_columns
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
 
-__all__ = ["DEFAULT", "METRICS", "OUTCOME", "MetricRecorder", "check_metrics", "measure"]
-
 
 class MetricRecorder:
     """Samples the state of a batch while it runs, and evaluates the metrics of each environment.

@@ -20,8 +20,6 @@ from warp_rigid.runs.user_code import check_columns, column_name
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.failures import Failures
 
-__all__ = ["ENERGIES", "WATCHED", "Observers", "check_observers"]
-
 WATCHED = ("peak_impulse", "summed_impulse", "first_contact", "impacts", "rest_time", "largest_overlap")
 """Observers that watch an environment, a body or a pair of bodies in every step; see Simulator.watched."""
 

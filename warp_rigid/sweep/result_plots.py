@@ -11,8 +11,6 @@ from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.columns import Table
 from warp_rigid.sweep.units import unit_of
 
-__all__ = ["KINDS", "plot"]
-
 KINDS = ("line", "heatmap", "scatter")
 SUFFIXES = (".png", ".svg", ".pdf")
 MAX_LINES = 12

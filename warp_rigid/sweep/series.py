@@ -11,8 +11,6 @@ import numpy as np
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.design import Run
 
-__all__ = ["Series", "ZarrSeries", "open_series", "read_series", "series_folder"]
-
 SUFFIX = ".series"
 ZARR = ".zarr"
 

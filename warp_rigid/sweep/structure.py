@@ -4,8 +4,6 @@ from collections.abc import Hashable
 
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["structure"]
-
 
 def structure(scene: Scene) -> Hashable:
     """All properties of a scene but the poses, velocities, masses, coefficients and activity of bodies, and gravity."""

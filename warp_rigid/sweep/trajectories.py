@@ -13,8 +13,6 @@ import numpy as np
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.series import open_zarr
 
-__all__ = ["Trajectories"]
-
 AXES = {"position": "xyz", "orientation": "xyzw"}
 
 

@@ -1,7 +1,5 @@
 """Units of the columns of result tables."""
 
-__all__ = ["unit_of"]
-
 UNITS = {
     "dt": "s",
     "duration": "s",

@@ -19,8 +19,6 @@ from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
 from warp_rigid.warp_start import start_warp
 
-__all__ = ["accept", "begin", "capacity_of", "device_of", "open_parts", "run"]
-
 PARENT_PERIOD = 1.0
 """Time between checks whether the process that started this one still exists [s]."""
 

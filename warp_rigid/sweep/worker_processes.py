@@ -16,8 +16,6 @@ from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
 from warp_rigid.warp_start import start_warp
 
-__all__ = ["MAX_WORKERS", "WorkerProcesses"]
-
 WORKERS_WITHOUT_GPU = 2
 
 MAX_WORKERS = 4096

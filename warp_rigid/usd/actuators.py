@@ -7,8 +7,6 @@ from typing import Any
 
 from pxr import Usd
 
-__all__ = ["ACTUATOR", "Servo", "read_servos"]
-
 ACTUATOR = "MjcActuator"
 """Type of the prims."""
 

@@ -19,8 +19,6 @@ from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
-__all__ = ["Instancers"]
-
 NAMES = Sdf.ValueTypeNames
 
 

@@ -8,8 +8,6 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
 from warp_rigid.usd.opening import convert_errors, open_stage
 
-__all__ = ["UsdProblem", "check_usd"]
-
 TOKENS = UsdPhysics.Tokens
 APPROXIMATIONS = {
     TOKENS.none, TOKENS.convexHull, TOKENS.convexDecomposition, TOKENS.boundingSphere, TOKENS.boundingCube,

@@ -7,8 +7,6 @@ from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.scene import Motion
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute
 
-__all__ = ["ContactMarks"]
-
 NAMES = Sdf.ValueTypeNames
 GRAVITY = 9.81
 POINT_COLOR, LINE_COLOR = (0.8, 0.05, 0.02), (0.9, 0.5, 0.02)

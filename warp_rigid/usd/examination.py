@@ -24,8 +24,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Ar, Sdf, Tf
 
-__all__ = ["MAX_PRIMS", "examine", "reason_of", "serve"]
-
 MAX_PRIMS = 1_000_000
 """Maximum number of prims of a stage; composing that many takes about a minute."""
 MAX_LEVELS = 1000

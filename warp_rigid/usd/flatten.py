@@ -10,8 +10,6 @@ from warp_rigid.usd.opening import convert_errors, open_stage
 from warp_rigid.usd.options import SUFFIXES
 from warp_rigid.usd.specs import export_layer
 
-__all__ = ["flatten_usd"]
-
 
 def flatten_usd(source, target) -> int:
     """Copy a file and replace each PointInstancer by one Xform per instance, including its motion.

@@ -33,8 +33,6 @@ from warp_rigid.usd.prims import custom_data
 from warp_rigid.usd.serial_joints import SHARE, insert_links
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 
-__all__ = ["JOINT_KINDS", "JOINT_SCHEMAS", "JointReader", "write_joint"]
-
 Types = UsdPhysics.ObjectType
 NAMES = Sdf.ValueTypeNames
 JOINT_KINDS = (Types.FixedJoint, Types.RevoluteJoint, Types.PrismaticJoint, Types.SphericalJoint, Types.DistanceJoint)

@@ -20,8 +20,6 @@ from warp_rigid.usd.materials import write_material
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 from warp_rigid.usd.stage_look import define_surface
 
-__all__ = ["Library", "simple_shapes", "write_pose"]
-
 PLANE_WIDTH = 20.0
 """Drawn width of an infinite plane [m]."""
 RENDERED = "render"

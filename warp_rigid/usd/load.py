@@ -7,8 +7,6 @@ from pathlib import Path
 from warp_rigid.scene.import_report import ImportReport
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["film_duration", "import_usd"]
-
 
 def import_usd(
     path: str | PathLike[str], root: str | None = None, *, strict: bool = False, sdf_resolution: int = 64

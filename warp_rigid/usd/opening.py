@@ -17,8 +17,6 @@ from warp_rigid.checks import number_in
 from warp_rigid.usd import examination
 from warp_rigid.usd.examination import reason_of
 
-__all__ = ["convert_errors", "open_stage", "start_examiner"]
-
 LIMITS = {"seconds": ("WARP_RIGID_USD_SECONDS", 2.0, 1.0), "bytes": ("WARP_RIGID_USD_GIGABYTES", 1.5, 2.0**30)}
 """Limits of the examination: environment variable, default, and unit. They grow with the size of the files."""
 

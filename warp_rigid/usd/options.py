@@ -7,8 +7,6 @@ from warp_rigid.checks import one_of
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs.recording import Recording
 
-__all__ = ["LAYOUTS", "MAX_SCENE_BODIES", "PROFILES", "SUFFIXES", "UsdOptions"]
-
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 PROFILES = ("auto", "animation", "scene")
 LAYOUTS = ("single", "payloads", "clips", "override")

@@ -19,8 +19,6 @@ from warp_rigid.scene.shapes import (
 )
 from warp_rigid.usd.geometry import MARK, quaternion_of_matrix
 
-__all__ = ["Unreadable", "custom_data", "matrix_of", "convert_prim", "custom_array", "triangles_of"]
-
 SCALE_TOLERANCE = 1e-5
 """Relative tolerance within which scales count as uniform."""
 CONE_SECTIONS = 64

@@ -30,8 +30,6 @@ from warp_rigid.usd.preview_surface import read_look
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
 
-__all__ = ["Reader"]
-
 EARTH_GRAVITY = 9.81
 SCALE_TOLERANCE = 1e-3
 """Relative change of an animated scale that counts as none."""

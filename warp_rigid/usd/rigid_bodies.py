@@ -21,8 +21,6 @@ from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, write_surface_motion
 
-__all__ = ["Bodies"]
-
 NAMES = Sdf.ValueTypeNames
 PHYSICS_SCENE = "PhysicsScene"
 

@@ -21,8 +21,6 @@ from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd import limited
 from warp_rigid.usd.load import import_usd
 
-__all__ = ["ROBOT_SUFFIXES", "import_robot"]
-
 CONVERTERS = {".xml": "mujoco_usd_converter", ".mjcf": "mujoco_usd_converter", ".urdf": "urdf_usd_converter"}
 """Programs by the suffix of the file."""
 ROBOT_SUFFIXES = tuple(CONVERTERS)

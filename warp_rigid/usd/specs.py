@@ -11,19 +11,6 @@ from pxr import Sdf, Tf
 
 from warp_rigid.files.atomic import atomic_file
 
-__all__ = [
-    "SampleWriter",
-    "Track",
-    "define",
-    "export_layer",
-    "open_layer",
-    "reload_layer",
-    "set_relationship",
-    "save_layer",
-    "set_attribute",
-    "stage_metadata",
-]
-
 
 def open_layer(path: Path) -> Sdf.Layer:
     """Create an empty layer for a path; a layer already open for that path is cleared.

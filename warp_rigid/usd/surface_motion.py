@@ -7,8 +7,6 @@ from pxr import Gf, Sdf, Usd
 
 from warp_rigid.usd.specs import set_attribute
 
-__all__ = ["SURFACE_SCHEMA", "SurfaceMotion", "has_surface_motion", "read_surface_motion", "write_surface_motion"]
-
 SURFACE_SCHEMA = "PhysxSurfaceVelocityAPI"
 PREFIX = "physxSurfaceVelocity:"
 LINEAR, ANGULAR = PREFIX + "surfaceVelocity", PREFIX + "surfaceAngularVelocity"

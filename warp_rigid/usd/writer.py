@@ -30,8 +30,6 @@ from warp_rigid.usd.specs import (
 )
 from warp_rigid.usd.stage_look import define_look
 
-__all__ = ["UsdWriter"]
-
 WORLD = "/World"
 FLUSH_EVERY = 24
 """Number of frames between flushes, and per clip."""

@@ -6,8 +6,6 @@ from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.render.raycast import on_screen
 from warp_rigid.viewer.page import add_ground, level_planes, opacity_of_walls
 
-__all__ = ["Instances", "bytes_of_light", "creased"]
-
 FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
 
 

@@ -42,8 +42,6 @@ from warp_rigid.viewer.picking import first_hit, trace
 from warp_rigid.viewer.session import Paced, Session
 from warp_rigid.viewer.slice_view import SliceView
 
-__all__ = ["LiveViewer"]
-
 log = logging.getLogger(__name__)
 
 PERIOD = 1.0 / 60.0

@@ -28,25 +28,6 @@ from warp_rigid.rotations import rotate
 from warp_rigid.scene.camera import NARROWEST
 from warp_rigid.viewer.server import CheckedServer
 
-__all__ = [
-    "add_ground",
-    "add_labels",
-    "follow_with_pages",
-    "ground_heights",
-    "keep_above_ground",
-    "keep_framed",
-    "level_planes",
-    "look_at_film",
-    "look_from",
-    "look_from_page",
-    "opacity_of_walls",
-    "png_bytes",
-    "set_light",
-    "start_server",
-    "stop_server",
-    "widen_views",
-]
-
 ZENITH, HORIZON, GROUND = (176, 200, 224), (238, 241, 243), (214, 214, 210)
 """Colours of the sky and of infinite grounds."""
 LAMP_LIGHT, SKY_LIGHT = 2.1, 1.4

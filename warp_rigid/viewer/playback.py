@@ -24,8 +24,6 @@ from warp_rigid.viewer.page import (
     stop_server,
 )
 
-__all__ = ["FilmViewer", "load_film", "save_html"]
-
 PERIOD = 1.0 / 30.0
 """Time between updates of the page [s]."""
 PAGE_RATE = 60.0

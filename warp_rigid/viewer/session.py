@@ -19,8 +19,6 @@ from warp_rigid.scene.shapes import Shape
 from warp_rigid.scenes import Verdict
 from warp_rigid.viewer.history import Moment
 
-__all__ = ["Paced", "Session"]
-
 PULL_RATE = 8.0
 """Angular frequency of the spring that pulls a body [rad/s]; its damping is critical."""
 

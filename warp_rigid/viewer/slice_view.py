@@ -6,8 +6,6 @@ import viser
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.viewer.slicing import cut
 
-__all__ = ["SliceView"]
-
 
 class SliceView:
     """A picture in the plane of the slice, and arrows along the gradient.

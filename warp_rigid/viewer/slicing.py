@@ -4,8 +4,6 @@ import numpy as np
 
 from warp_rigid.scene.shapes.base import Shape
 
-__all__ = ["AXES", "Slice", "cut"]
-
 AXES = ("x", "y", "z")
 POINTS = 200
 """Points along the longer side of a slice."""
