@@ -1,8 +1,6 @@
-"""Standard columns of result tables, the fields of their metadata, and their interface."""
+"""Standard columns of result tables, and the fields of their metadata."""
 
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Any
 
 from warp_rigid.checks import shown
 
@@ -32,36 +30,3 @@ def metadata_field(about: dict[str, Any], name: str) -> Any:
     if not (isinstance(value, kind) and all(isinstance(word, str) for word in words)):
         raise ValueError(f"{name}: must be {kind.__name__} in the metadata, got {shown(value)}")
     return value
-
-
-class Table(Protocol):
-    """Interface of a result table for plots and conversions; SweepResult implements it."""
-
-    rows: list[dict[str, Any]]
-    about: dict[str, Any]
-
-    def __len__(self) -> int:
-        """Number of rows."""
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the columns."""
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Units by the names of the columns that have one."""
-
-    @property
-    def axes(self) -> list[str]:
-        """Names of the axes."""
-
-    @property
-    def metrics(self) -> list[str]:
-        """Names of the metric columns."""
-
-    @property
-    def failed(self) -> list[dict[str, Any]]:
-        """Rows of runs that did not complete."""
-
-    def column(self, name: str) -> np.ndarray:
-        """Values of a column, one per row."""

@@ -3,7 +3,7 @@
 import hashlib
 import inspect
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,6 @@ from warp_rigid.scenes import Demo
 from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.observers import check_bodies
-from warp_rigid.sweep.structure import structure
 
 MAX_CACHED_SCENES = 4096
 """Maximum number of scenes cached between the validation of a design and its runs; others are built again."""
@@ -116,6 +115,16 @@ def resolve_scene(scene: Any) -> tuple[Demo, str]:
         except (OSError, TypeError):
             return demo, name
     raise ValueError(f"scene: must be a name, a .py file, a Scene or a function that returns one, got {scene!r}")
+
+
+def structure(scene: Scene) -> Hashable:
+    """All properties of a scene but the poses, velocities, masses, coefficients and activity of bodies, and gravity."""
+    bodies = tuple((body.shape.key, int(body.motion), body.name) for body in scene.bodies)
+    fields = tuple(repr(field) for field in scene.force_fields)
+    apart = tuple(sorted(scene.filtered_pairs))
+    joints = tuple(repr(joint) for joint in scene.joints)
+    limits = repr(scene.bounds), scene.out_of_bounds
+    return bodies, fields, apart, joints, limits, scene.friction_combine, scene.restitution_combine
 
 
 def make_runs(job: Job, points: list[tuple[dict[str, Any], int]], seed: int | None) -> list[Run]:

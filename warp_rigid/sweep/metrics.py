@@ -121,16 +121,12 @@ def _final_pose(recorder: MetricRecorder) -> dict[str, np.ndarray]:
 
 
 METRICS: dict[str, Callable[[MetricRecorder], Any]] = {
-    "top_height": _top_height,
-    "deepest_overlap": _deepest_overlap,
-    "drift": _drift,
-    "settle_time": _settle_time,
-    "kinetic_energy": _kinetic_energy,
-    "toppled": _toppled,
-    "escaped": _escaped,
-    "contacts": _contacts,
-    "final_pose": _final_pose,
-}
+    metric.__name__[1:]: metric
+    for metric in (
+        _top_height, _deepest_overlap, _drift, _settle_time, _kinetic_energy, _toppled, _escaped, _contacts,
+        _final_pose,
+    )
+}  # fmt: skip
 """Built-in metrics by name. "outcome" also selects the verdicts of the scene."""
 
 DEFAULT = tuple(name for name in METRICS if name != "final_pose")

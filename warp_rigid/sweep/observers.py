@@ -62,7 +62,7 @@ class Observers:
             if not isinstance(observer, str):
                 name = column_name(observer)
                 with failures.of(observer, f"observer {name}"):
-                    self._functions[name] = _made(observer, sim)
+                    self._functions[name] = observer(sim) if isinstance(observer, type) else observer
         self.look()
 
     def look(self) -> None:
@@ -148,11 +148,6 @@ def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -
         owner = _owner(name) if isinstance(name, str) else "bodies"
         if not any(all(body in place for body in bodies) for (_, whose), place in places.items() if whose == owner):
             raise ValueError(f"{name}: no scene has the {owner} {', '.join(bodies)}")
-
-
-def _made(observer: Any, sim: Simulator) -> Callable:
-    """An observer of the user; a class is made for this batch."""
-    return observer(sim) if isinstance(observer, type) else observer
 
 
 def _quantity(name: str) -> str:
