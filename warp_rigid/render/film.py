@@ -174,9 +174,7 @@ def film_from_usd(path) -> Film:
     """
     from warp_rigid.usd.opening import convert_errors, open_stage
 
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    stage = open_stage(path)
+    stage = open_stage(Path(path))
     with convert_errors(path):
         return _film_of_stage(stage)
 

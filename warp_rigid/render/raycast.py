@@ -335,12 +335,9 @@ class RayCaster:
             are cut open.
     """
 
+    @exclusive()  # it changes the default device of all threads
     def __init__(self, film: Film, camera: CameraView):
         """Build the data shared by all frames."""
-        with exclusive():  # it changes the default device of all threads
-            self._upload(film, camera)
-
-    def _upload(self, film: Film, camera: CameraView) -> None:
         load_module(wp.get_device("cpu"), __name__, 1)
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
@@ -366,12 +363,10 @@ class RayCaster:
             self._add_planes(endless_planes(film))
             self._cut_away(~film.moving & ~flat & ~waving)
 
+    @exclusive()
     def draw(self, frame: int, width: int, height: int, camera: Any = None) -> np.ndarray:
         """Render one frame, (height, width, 3) uint8 (sRGB), with the camera of the film or another one."""
-        with exclusive():
-            return self._draw(frame, width, height, camera or self._camera)
-
-    def _draw(self, frame: int, width: int, height: int, camera: Any) -> np.ndarray:
+        camera = camera or self._camera
         self._place_instances(frame)
         x = (2.0 * np.arange(width) + 1.0) / width - 1.0
         y = 1.0 - (2.0 * np.arange(height) + 1.0) / height

@@ -42,8 +42,6 @@ def check_usd(path) -> list[UsdProblem]:
         ValueError: It is not a USD file.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
     stage = open_stage(path)
     with convert_errors(path):
         validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()

@@ -30,8 +30,6 @@ def flatten_usd(source, target) -> int:
     source, target = Path(source), Path(target)
     if target.suffix not in SUFFIXES or target.suffix == ".usdz":
         raise ValueError(f"{target}: must end in .usd, .usda or .usdc")
-    if not source.is_file():
-        raise FileNotFoundError(f"{source}: no such file")
     stage = open_stage(source)
     check_unread([target], [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
     with convert_errors(source):

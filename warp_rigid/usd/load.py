@@ -33,8 +33,6 @@ def import_usd(
         ValueError: It is not a USD file, has no bodies, or `strict` is set and the import is incomplete.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
 
     from warp_rigid.usd.opening import convert_errors
     from warp_rigid.usd.reader import Reader
@@ -62,14 +60,10 @@ def film_duration(path) -> float:
         FileNotFoundError: The file does not exist.
         ValueError: It is not a USD file, or its range of time codes is not that of a film.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-
     from warp_rigid.usd.metadata import time_codes
     from warp_rigid.usd.opening import convert_errors, open_stage
 
-    stage = open_stage(path)
+    stage = open_stage(Path(path))
     with convert_errors(path):
         codes = time_codes(stage)
         return (codes.last - codes.first) / codes.rate

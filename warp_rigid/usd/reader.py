@@ -116,7 +116,6 @@ class Reader:
         self._start = first_time(self.stage)
         expand_instancers(self._root, [self._start])
         self._transforms = UsdGeom.XformCache(self._start)
-        self._names: set[str] = set()
         self.meter = meters_per_unit(self.stage)
         self.kilogram = kilograms_per_unit(self.stage)
         self._to_z_up = FROM_Y_UP if is_y_up(self.stage) else np.eye(3)
@@ -312,7 +311,7 @@ class Reader:
                     mass=mass,
                     position=position,
                     orientation=quaternion_of_matrix(rotation),
-                    name=body.prim.GetDisplayName() or self._unique_name(body.prim.GetName()),
+                    name=body.prim.GetDisplayName() or body.prim.GetName(),
                     **self._velocities(body.prim, rotation, shape.center_of_mass),
                 )
                 self._keep_index(body, index)
@@ -329,7 +328,7 @@ class Reader:
         common: dict[str, Any] = {
             "position": position + rotation @ where,
             "orientation": quaternion_of_matrix(rotation @ rotations.matrix(turn)),
-            "name": body.prim.GetDisplayName() or self._unique_name(body.prim.GetName()),
+            "name": body.prim.GetDisplayName() or body.prim.GetName(),
             **self._coefficients(body, group),
         }
         try:
@@ -364,14 +363,6 @@ class Reader:
         self.owners.setdefault(path, index)
         if body.motion != Motion.STATIC and not body.prim.IsInstanceProxy():
             self.prims.setdefault(path, index)
-
-    def _unique_name(self, name: str) -> str:
-        """The name, with a number if an earlier body has it."""
-        found, number = name, 1
-        while found in self._names:
-            found, number = f"{name}_{number}", number + 1
-        self._names.add(found)
-        return found
 
     def _frame(self, prim: Usd.Prim, transforms: UsdGeom.XformCache) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Polar decomposition of the transform of a body: position [m], rotation (3, 3) and stretch (3, 3).

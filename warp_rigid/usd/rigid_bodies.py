@@ -11,7 +11,7 @@ from warp_rigid.render.appearance import frame_colors
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, unique_name
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import CONSTANT_COLORINGS
 from warp_rigid.usd.field_data import fields_to_data
@@ -63,9 +63,9 @@ class Bodies:
         back = inverse(self._orientation)
         self._velocity = _vectors(rotate(back, start["linear_velocity"][self._row]))
         self._spin = _vectors(np.degrees(rotate(back, start["angular_velocity"][self._row])))
-        taken, paths = {PHYSICS_SCENE, "contacts", "impulses"}, []
+        taken, paths = dict.fromkeys((PHYSICS_SCENE, "contacts", "impulses"), 1), []
         for index, body in enumerate(scene.bodies):
-            name = _unique_name(body.name, taken)
+            name = unique_name(Tf.MakeValidIdentifier(body.name), taken)
             prim = self._define_body(samples, f"{root}/{name}", index, body)
             if name != body.name:
                 prim.SetInfo("displayName", body.name)
@@ -79,7 +79,7 @@ class Bodies:
         self._paths = paths
         self._write_filtered_pairs(samples.layer, paths)
         for entry in scene.joints:
-            name = _unique_name(entry.name, taken)
+            name = unique_name(Tf.MakeValidIdentifier(entry.name), taken)
             write_joint(samples.layer, f"{root}/{name}", entry, paths)
             if name != entry.name:
                 samples.layer.GetPrimAtPath(f"{root}/{name}").SetInfo("displayName", entry.name)
@@ -206,16 +206,6 @@ def _principal(shape: Shape) -> tuple[Any, np.ndarray, Any]:
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
     return _vector(shape.center_of_mass), moments, gf_quaternion(quaternion_of_matrix(axes))
-
-
-def _unique_name(name: str, taken: set[str]) -> str:
-    """An unused prim name."""
-    base = Tf.MakeValidIdentifier(name)
-    found, number = base, 1
-    while found in taken:
-        found, number = f"{base}_{number}", number + 1
-    taken.add(found)
-    return found
 
 
 def _vector(value: np.ndarray) -> Any:
