@@ -16,6 +16,7 @@ from warp_rigid.render.appearance import (
     frame_colors,
     spread_of,
 )
+from warp_rigid.rotations import rotate
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import Camera, camera_of_text
@@ -88,6 +89,17 @@ class Film:
         """(instances,) True if the pose changes over time."""
         moves = (self.position != self.position[0]).any(axis=(0, 2))
         return moves | (self.orientation != self.orientation[0]).any(axis=(0, 2))
+
+    @property
+    def flat(self) -> np.ndarray:
+        """(instances,) True for those whose triangles are all parallel."""
+        return np.array([mesh.flat for mesh in self.meshes])[self.mesh]
+
+    @property
+    def level(self) -> np.ndarray:
+        """(instances,) True for planes that lie level and fixed, which are drawn as one endless ground."""
+        normals = np.array([mesh.normals[0, 0] for mesh in self.meshes])[self.mesh]
+        return self.flat & ~self.moving & (rotate(self.orientation[0], normals)[:, 2] > 1.0 - 1.0e-6)
 
     def color_at(self, frame: int) -> np.ndarray:
         """Colours of one frame, (instances, 3)."""
@@ -199,21 +211,22 @@ def _film_of_stage(stage) -> Film:
     count = [0] * len(envs)
     codes = time_codes(stage)
     frames = np.arange(codes.first, codes.last + 1)
-    offset = np.array([_translation(prim) for prim in envs])
+    places = UsdGeom.XformCache()
+    offset = np.array([places.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
     body, dynamic, gloss = [], [], []
     for index, group in groups:
         read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
-        drawn, places, turns, group_colors = read(group, frames)
+        drawn, positions, turns, group_colors = read(group, frames)
         key = drawn.vertices.tobytes() + drawn.faces.tobytes()
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
-        position.append(places + offset[index].astype(np.float32))
+        position.append(positions + offset[index].astype(np.float32))
         orientation.append(turns)
         color.append(group_colors)
-        mesh.append(np.full(places.shape[1], mesh_index[key]))
-        env.append(np.full(places.shape[1], index))
+        mesh.append(np.full(positions.shape[1], mesh_index[key]))
+        env.append(np.full(positions.shape[1], index))
         ids = group.GetAttribute("ids").Get() if group.IsA(UsdGeom.PointInstancer) else [count[index]]
         body.append(np.array(ids, np.int64))
         dynamic.append(np.full(len(body[-1]), custom_data(group).get("motion") == "dynamic"))
@@ -310,13 +323,6 @@ def _read_gloss(prim, count: int) -> np.ndarray:
         if primvar.HasValue():
             gloss[:, column] = np.array(primvar.Get(), np.float32)
     return gloss
-
-
-def _translation(prim) -> np.ndarray:
-    from pxr import UsdGeom
-
-    matrix = UsdGeom.XformCache().GetLocalToWorldTransform(prim)
-    return np.array(matrix.ExtractTranslation())
 
 
 def _read(attribute, frames) -> np.ndarray:

@@ -343,7 +343,7 @@ class RayCaster:
         self._threads = min(usable_cores(), 16)
         corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
         self._corners = corners[film.mesh]
-        flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
+        flat = film.flat
         waving = np.array([len(mesh.frames) > 0 for mesh in film.meshes])[film.mesh]
         faces = np.array([len(mesh.faces) for mesh in film.meshes])
         self._first_face = np.cumsum(faces) - faces
@@ -501,10 +501,8 @@ def endless_planes(film: Film) -> np.ndarray:
 
     A tilted plane of one of several environments is drawn as a square, so that it does not cut through the others.
     """
-    square = np.array([mesh.flat and len(mesh.faces) == 2 for mesh in film.meshes])[film.mesh] & ~film.moving
-    normals = np.array([mesh.normals[0, 0] if mesh.flat else (0.0, 0.0, 1.0) for mesh in film.meshes])[film.mesh]
-    level = rotate(film.orientation[0], normals)[:, 2] > 1.0 - 1e-6
-    return square & (level | (len(film.labels) == 1))
+    square = film.flat & ~film.moving & (np.array([len(mesh.faces) for mesh in film.meshes])[film.mesh] == 2)
+    return square & (film.level | (len(film.labels) == 1))
 
 
 def within_hull(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:

@@ -78,10 +78,7 @@ def _settle_time(recorder: MetricRecorder) -> np.ndarray:
 
 def _kinetic_energy(recorder: MetricRecorder) -> np.ndarray:
     """Final kinetic energy of all bodies [J]."""
-    sim = recorder.sim
-    env = np.nonzero(sim.exists)[0]
-    # Added one after another, so that the sum does not depend on the number of bodies of other environments.
-    return np.bincount(env, weights=sim.get("kinetic_energy")[sim.exists], minlength=sim.num_envs)
+    return sum_of_bodies(recorder.sim, recorder.sim.get("kinetic_energy"))
 
 
 def _toppled(recorder: MetricRecorder) -> np.ndarray:
@@ -154,6 +151,13 @@ def check_metrics(metrics: Any) -> tuple[str | Callable, ...]:
         return f"functions, .py files or names, got {shown(metric)}{suggestion(metric, known)}"
 
     return check_columns("metrics", metrics, known.__contains__, expected)
+
+
+def sum_of_bodies(sim: Simulator, values: np.ndarray) -> np.ndarray:
+    """Sum of (envs, bodies) values over the bodies of each environment, (envs,)."""
+    env = np.nonzero(sim.exists)[0]
+    # Added one after another, so that the sum does not depend on the number of bodies of other environments.
+    return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
 
 
 def measure(function: Callable, sim: Any) -> np.ndarray:

@@ -19,6 +19,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.user_code import check_columns, column_name
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.failures import Failures
+from warp_rigid.sweep.metrics import sum_of_bodies
 
 WATCHED = ("peak_impulse", "summed_impulse", "first_contact", "impacts", "rest_time", "largest_overlap")
 """Observers that watch an environment, a body or a pair of bodies in every step; see Simulator.watched."""
@@ -98,9 +99,7 @@ class Observers:
         values = np.sum([sim.get(part) for part in parts], axis=0)
         if bodies:
             return self._of_row(values, bodies[0])
-        env = np.nonzero(sim.exists)[0]
-        # Added one after another, so that the sum does not depend on the number of bodies of other environments.
-        return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
+        return sum_of_bodies(sim, values)
 
     def _of_row(self, values: np.ndarray, name: str, owner: str = "bodies") -> np.ndarray:
         """The rows of a body or joint, (envs, ...); NaN where an environment has no such body or joint."""

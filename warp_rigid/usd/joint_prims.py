@@ -239,7 +239,9 @@ class JointReader:
     def _joint(self, prim: Usd.Prim, description: Any) -> Joint:
         """The joint with its limits."""
         kind = description.type
-        friction = float(custom_data(prim).get("friction", 0.0)) or self._friction(prim, kind)
+        friction = (
+            float(custom_data(prim).get("friction", 0.0)) or _authored(prim, "newton:friction") * self._units(kind)[0]
+        )
         start = self._mujoco_coordinate(prim, kind, "ref")
         if kind == Types.RevoluteJoint:
             return RevoluteJoint(AXES["X"], _range(description.limit, math.pi / 180.0, start), friction)
@@ -266,10 +268,6 @@ class JointReader:
         if value > 0.0:
             self._leave_out(prim.GetPath(), "newton:armature: supported for hinges and sliders only")
         return 0.0
-
-    def _friction(self, prim: Usd.Prim, kind: Any) -> float:
-        """Friction of a joint by Newton's schema [N or N m]."""
-        return _authored(prim, "newton:friction") * self._units(kind)[0]
 
     def _units(self, kind: Any) -> tuple[float, float]:
         """Units of force or torque, and of the coordinate, of a joint in the file."""

@@ -1,6 +1,5 @@
 """USD import of files with UsdPhysics."""
 
-import warnings
 from os import PathLike
 from pathlib import Path
 
@@ -43,13 +42,7 @@ def import_usd(
     scene.import_report = ImportReport(
         str(path), tuple(reader.findings), root, reader.prims, reader.files, reader.cameras
     )
-    lost = len(scene.import_report.left_out)
-    if strict and reader.findings:
-        more = f" (and {len(reader.findings) - 1} more)" if len(reader.findings) > 1 else ""
-        raise ValueError(f"{path}: {reader.findings[0]}{more}")
-    if lost:
-        first = scene.import_report.left_out[0]
-        warnings.warn(f"{path}: {lost} left out, see scene.import_report; first: {first}", stacklevel=2)
+    scene.import_report.tell(strict, stacklevel=2)
     return scene
 
 

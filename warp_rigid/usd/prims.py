@@ -117,15 +117,10 @@ def triangles_of(prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
         vertices = np.concatenate([corners, np.zeros((4, 1))], axis=1)
         faces = tessellation.triangulate_quads(np.array([[0, 1, 2, 3]]))
     else:
-        vertices, faces = _scaled_or_raise(prim).surface()
+        shape = _scaled(prim, np.ones(3))
+        assert shape is not None
+        vertices, faces = shape.surface()
     return vertices @ turn.T, faces
-
-
-def _scaled_or_raise(prim: Usd.Prim) -> Shape:
-    shape = _scaled(prim, np.ones(3))
-    if shape is None:
-        raise Unreadable(f"a {prim.GetTypeName() or 'prim without type'} is not a supported shape")
-    return shape
 
 
 def _turn_to_z(prim: Usd.Prim) -> np.ndarray:

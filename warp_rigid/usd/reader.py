@@ -185,7 +185,7 @@ class Reader:
         for kind, (paths, _) in objects.items():
             if kind not in SUPPORTED:
                 for path in paths:
-                    self.leave_out(path, f"{_kind_name(kind)} is not supported: bodies move freely")
+                    self.leave_out(path, f"{str(kind).rpartition('.')[2]} is not supported: bodies move freely")
         for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
             unsupported = [
                 schema
@@ -213,7 +213,8 @@ class Reader:
             strength = description.gravityMagnitude * self.meter
             found[str(path)] = tuple(self._to_z_up @ np.array(description.gravityDirection) * strength)
         if len({tuple(np.round(gravity, 6)) for gravity in found.values()}) > 1:
-            raise ValueError(f"{self.path}: has several gravities; set root to one of {self._environments(found)}")
+            roots = ", ".join(str(Sdf.Path(path).GetParentPath()) for path in found)
+            raise ValueError(f"{self.path}: has several gravities; set root to one of {roots}")
         custom = custom_data(self.stage.GetPrimAtPath(next(iter(found)))) if found else {}
         scene = Scene(
             gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
@@ -227,10 +228,6 @@ class Reader:
     def _is_of_mujoco(self, objects: dict) -> bool:
         """Whether colliders come from a file of MuJoCo, which takes the larger friction of two bodies."""
         return any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in _described(objects, COLLIDERS))
-
-    @staticmethod
-    def _environments(scenes: dict) -> str:
-        return ", ".join(str(Sdf.Path(path).GetParentPath()) for path in scenes)
 
     def _bodies(self, objects: dict) -> list[_Body]:
         """Bodies in file order, each with its enabled colliders."""
@@ -488,7 +485,3 @@ def _losses(prim: Usd.Prim, schemas: list[str]) -> list[str]:
     if lost:
         told.append(f"{', '.join(lost)}: not supported")
     return told
-
-
-def _kind_name(kind: Any) -> str:
-    return str(kind).rpartition(".")[2]

@@ -70,7 +70,8 @@ class Bodies:
             if name != body.name:
                 prim.SetInfo("displayName", body.name)
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
-            path = library.collider(body.shape, self._coefficients(index))
+            coefficients = {name: float(start[name][self._row, index]) for name in COEFFICIENTS}
+            path = library.collider(body.shape, coefficients)
             if self._color in CONSTANT_COLORINGS:
                 path = library.painted(path, self._colors[index], self._film.looks.get(index))
             library.add_reference(geometry, path)
@@ -105,9 +106,6 @@ class Bodies:
             applied.prependedItems = [*applied.prependedItems, "PhysicsFilteredPairsAPI"]
             prim.SetInfo("apiSchemas", applied)
             set_relationship(prim, "physics:filteredPairs", *targets)
-
-    def _coefficients(self, index: int) -> dict[str, float]:
-        return {name: float(self._film.start[name][self._row, index]) for name in COEFFICIENTS}
 
     def _define_body(self, samples: SampleWriter, path: str, index: int, body: Body) -> Sdf.PrimSpec:
         """Define a body without its geometry."""

@@ -85,11 +85,7 @@ def import_robot(
     assert report is not None
     report = replace(report, file=str(path), findings=(*findings, *report.findings), files=(str(path),))
     scene.import_report = report
-    if strict and report.findings:
-        raise ValueError(f"{path}: {report.findings[0]} (and {len(report.findings) - 1} more)")
-    if report.left_out:
-        text = f"{len(report.left_out)} left out, see scene.import_report; first: {report.left_out[0]}"
-        warnings.warn(f"{path}: {text}", stacklevel=2)
+    report.tell(strict, stacklevel=2)
     return scene
 
 

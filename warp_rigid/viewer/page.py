@@ -103,9 +103,7 @@ def set_light(server: viser.ViserServer, fast: bool) -> None:
 
 def ground_heights(film: Film) -> list[float]:
     """Heights at which level planes lie [m]."""
-    places = [
-        film.position[0][i, 2] + film.meshes[film.mesh[i]].vertices[0, 2] for i in np.flatnonzero(level_planes(film))
-    ]
+    places = [film.position[0][i, 2] + film.meshes[film.mesh[i]].vertices[0, 2] for i in np.flatnonzero(film.level)]
     return sorted({round(float(place), 6) for place in places})
 
 
@@ -144,21 +142,13 @@ def add_ground(server: viser.ViserServer, film: Film) -> list:
     return handles
 
 
-def level_planes(film: Film) -> np.ndarray:
-    """(instances,) True for planes that lie level and fixed, which are drawn as one endless ground."""
-    flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh] & ~film.moving
-    normals = np.array([mesh.normals[0, 0] if mesh.flat else (0.0, 0.0, 0.0) for mesh in film.meshes])[film.mesh]
-    return flat & (rotate(film.orientation[0], normals)[:, 2] > 1.0 - 1.0e-6)
-
-
 def opacity_of_walls(film: Film) -> np.ndarray:
     """(instances,) less than 1 for fixed, thin, upright bodies, behind which others may lie."""
     sizes = np.stack([np.ptp(mesh.vertices, axis=0) for mesh in film.meshes])[film.mesh]
     thinnest = sizes.argmin(axis=1)
     thin = sizes.min(axis=1) < WALL_THICKNESS * np.median(sizes, axis=1)
     upright = np.abs(rotate(film.orientation[0], np.eye(3)[thinnest])[:, 2]) < 0.5
-    flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
-    return np.where(thin & upright & ~flat & ~film.moving, 0.35, 1.0)
+    return np.where(thin & upright & ~film.flat & ~film.moving, 0.35, 1.0)
 
 
 def _below(film: Film, points: np.ndarray) -> np.ndarray:
