@@ -8,7 +8,7 @@ import numpy as np
 from warp_rigid.checks import one_of
 from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.sweep.units import unit_of
+from warp_rigid.sweep.columns import unit_of
 
 KINDS = ("line", "heatmap", "scatter")
 SUFFIXES = (".png", ".svg", ".pdf")

@@ -15,12 +15,11 @@ from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file, check_replaceable
 from warp_rigid.sweep.axes import plain
 from warp_rigid.sweep.batch_run import Batch, replay
-from warp_rigid.sweep.columns import COLUMNS, FINISHED, METADATA_TYPES, REQUIRED_COLUMNS, metadata_field
+from warp_rigid.sweep.columns import COLUMNS, FINISHED, METADATA_TYPES, REQUIRED_COLUMNS, metadata_field, unit_of
 from warp_rigid.sweep.design import MAX_RUNS, Run
 from warp_rigid.sweep.frames import arrow_table, dataset
 from warp_rigid.sweep.result_plots import plot
 from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries
-from warp_rigid.sweep.units import unit_of
 
 WRITE_INTERVAL_RATIO = 10.0
 """Minimum time between two writes of the file, relative to the duration of a write."""

@@ -28,7 +28,7 @@ from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.geometry import MARK, gf_quaternion, quaternion_of_matrix
 from warp_rigid.usd.masses import states_no_mass
-from warp_rigid.usd.prims import custom_data
+from warp_rigid.usd.prims import custom_data, described
 from warp_rigid.usd.serial_joints import SHARE, insert_links
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 
@@ -65,11 +65,7 @@ class JointReader:
 
     def read(self, objects: dict) -> None:
         """Add all joints, in the order of their paths."""
-        found = {
-            str(path): description
-            for kind in JOINT_KINDS
-            for path, description in zip(*objects.get(kind, ([], [])), strict=True)
-        }
+        found = dict(described(objects, JOINT_KINDS))
         self._find_parts(found)
         self._lighten(found)
         series: dict[tuple[str, str], list[tuple[Usd.Prim, Any]]] = {}

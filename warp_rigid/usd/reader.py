@@ -1,6 +1,5 @@
 """Reader of stages with UsdPhysics."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,7 @@ from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.preview_surface import read_look
-from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
+from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, described, matrix_of
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
 
 EARTH_GRAVITY = 9.81
@@ -138,10 +137,10 @@ class Reader:
         for body in bodies:
             self._add(scene, body)
         scale_to_total(self.stage, scene)
-        descriptions = dict(_described(objects, COLLIDERS))
-        members = {path: {path} for path, body in _described(objects, {Types.RigidBody}) if body.rigidBodyEnabled}
-        joints = {path: {str(joint.body0), str(joint.body1)} for path, joint in _described(objects, JOINT_KINDS)}
-        for path, articulation in _described(objects, {Types.Articulation}):
+        descriptions = dict(described(objects, COLLIDERS))
+        members = {path: {path} for path, body in described(objects, {Types.RigidBody}) if body.rigidBodyEnabled}
+        joints = {path: {str(joint.body0), str(joint.body1)} for path, joint in described(objects, JOINT_KINDS)}
+        for path, articulation in described(objects, {Types.Articulation}):
             # The parser names the bodies only if the root is above them, not if it is one of them, or a joint.
             named = {str(body) for body in articulation.articulatedBodies} or joints.get(path, {path})
             members[path] = linked(named & members.keys(), joints.values())
@@ -207,11 +206,10 @@ class Reader:
 
     def _empty_scene(self, objects: dict) -> Scene:
         """Create a scene with gravity, combine modes and force fields."""
-        paths, descriptions = objects.get(Types.Scene, ([], []))
         found = {}
-        for path, description in zip(paths, descriptions, strict=True):
+        for path, description in described(objects, {Types.Scene}):
             strength = description.gravityMagnitude * self.meter
-            found[str(path)] = tuple(self._to_z_up @ np.array(description.gravityDirection) * strength)
+            found[path] = tuple(self._to_z_up @ np.array(description.gravityDirection) * strength)
         if len({tuple(np.round(gravity, 6)) for gravity in found.values()}) > 1:
             roots = ", ".join(str(Sdf.Path(path).GetParentPath()) for path in found)
             raise ValueError(f"{self.path}: has several gravities; set root to one of {roots}")
@@ -227,16 +225,16 @@ class Reader:
 
     def _is_of_mujoco(self, objects: dict) -> bool:
         """Whether colliders come from a file of MuJoCo, which takes the larger friction of two bodies."""
-        return any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in _described(objects, COLLIDERS))
+        return any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in described(objects, COLLIDERS))
 
     def _bodies(self, objects: dict) -> list[_Body]:
         """Bodies in file order, each with its enabled colliders."""
         bodies: dict[str, _Body] = {}
-        for path, description in _described(objects, {Types.RigidBody}):
+        for path, description in described(objects, {Types.RigidBody}):
             if description.rigidBodyEnabled:
                 motion = Motion.KINEMATIC if description.kinematicBody else Motion.DYNAMIC
                 bodies[path] = _Body(self.stage.GetPrimAtPath(path), motion)
-        for path, description in _described(objects, COLLIDERS):
+        for path, description in described(objects, COLLIDERS):
             if not description.collisionEnabled:
                 continue
             prim = self.stage.GetPrimAtPath(path)
@@ -446,13 +444,6 @@ class Reader:
         orientations = [quaternion_of_matrix(rotation) for _, rotation, _ in frames]
         times = (np.array(codes) - codes[0]) / self.stage.GetTimeCodesPerSecond()
         return PosePath(times, [position for position, _, _ in frames], orientations)
-
-
-def _described(objects: dict, kinds: Any) -> Iterator[tuple[str, Any]]:
-    """Paths and descriptions of the objects of some kinds."""
-    for kind in kinds:
-        for path, description in zip(*objects.get(kind, ([], [])), strict=True):
-            yield str(path), description
 
 
 def _is_animated(prim: Usd.Prim) -> bool:
