@@ -44,6 +44,13 @@ def custom_data(prim: Usd.Prim) -> dict:
     return found if isinstance(found, dict) else {}
 
 
+def value_of(prim: Usd.Prim, name: str, otherwise: Any) -> Any:
+    """The value of an attribute; a default where the file has none and the schema is not installed."""
+    attribute = prim.GetAttribute(name)
+    value = attribute.Get() if attribute else None
+    return otherwise if value is None else value
+
+
 def custom_array(custom: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """An array of the custom data; one length of the shape may be -1.
 

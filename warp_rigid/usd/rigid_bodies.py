@@ -18,7 +18,7 @@ from warp_rigid.usd.field_data import fields_to_data
 from warp_rigid.usd.geometry import FOLLOWS_PATH, MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.joint_prims import write_joint
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, write_surface_motion
 
 NAMES = Sdf.ValueTypeNames
@@ -61,8 +61,8 @@ class Bodies:
         self._colors = frame_colors(self._color, self._film, self._row, frame)
         # USD velocities are in the body frame, angular ones in degrees.
         back = inverse(self._orientation)
-        self._velocity = _vectors(rotate(back, start["linear_velocity"][self._row]))
-        self._spin = _vectors(np.degrees(rotate(back, start["angular_velocity"][self._row])))
+        self._velocity = vec3f(rotate(back, start["linear_velocity"][self._row]))
+        self._spin = vec3f(np.degrees(rotate(back, start["angular_velocity"][self._row])))
         taken, paths = dict.fromkeys((PHYSICS_SCENE, "contacts", "impulses"), 1), []
         for index, body in enumerate(scene.bodies):
             name = unique_name(Tf.MakeValidIdentifier(body.name), taken)
@@ -119,7 +119,7 @@ class Bodies:
         prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower(), **follows}})
         place, turn = write_pose(prim, self._position[index], self._orientation[index])
         hue = set_attribute(
-            prim, "primvars:displayColor", NAMES.Color3fArray, _color(self._colors[index]), interpolation="constant"
+            prim, "primvars:displayColor", NAMES.Color3fArray, vec3f([self._colors[index]]), interpolation="constant"
         )
         for tracks, attribute in (
             (self._translate_tracks, place),
@@ -172,7 +172,7 @@ class Bodies:
         colors = frame_colors(self._color, self._film, self._row, frame)
         changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()
         samples.put(
-            [self._color_tracks[index] for index in changed], time, [_color(colors[index]) for index in changed]
+            [self._color_tracks[index] for index in changed], time, [vec3f([colors[index]]) for index in changed]
         )
         self._colors = colors
 
@@ -182,7 +182,7 @@ def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray)
     prim = define(layer, path, "PhysicsScene")
     strength = math.hypot(*(float(x) for x in gravity))
     direction = np.asarray(gravity, dtype=np.float64) / strength if strength > 0.0 else np.array([0.0, 0.0, -1.0])
-    set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, _vector(direction))
+    set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, vec3f([direction])[0])
     set_attribute(prim, "physics:gravityMagnitude", NAMES.Float, strength)
     rules = {"frictionCombine": scene.friction_combine, "restitutionCombine": scene.restitution_combine}
     prim.SetInfo("customData", {MARK: rules | fields_to_data(scene.force_fields)})
@@ -193,7 +193,7 @@ def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:
     center, moments, axes = _principal(body.shape)
     set_attribute(prim, "physics:mass", NAMES.Float, mass)
     set_attribute(prim, "physics:centerOfMass", NAMES.Point3f, center)
-    set_attribute(prim, "physics:diagonalInertia", NAMES.Float3, _vector(mass * moments))
+    set_attribute(prim, "physics:diagonalInertia", NAMES.Float3, vec3f([mass * moments])[0])
     set_attribute(prim, "physics:principalAxes", NAMES.Quatf, axes)
 
 
@@ -203,16 +203,4 @@ def _principal(shape: Shape) -> tuple[Any, np.ndarray, Any]:
     moments, axes = np.linalg.eigh(np.asarray(shape.inertia) / shape.volume)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
-    return _vector(shape.center_of_mass), moments, gf_quaternion(quaternion_of_matrix(axes))
-
-
-def _vector(value: np.ndarray) -> Any:
-    return _vectors(np.asarray(value).reshape(1, 3))[0]
-
-
-def _vectors(values: np.ndarray) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
-
-
-def _color(value: np.ndarray) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(np.asarray(value, dtype=np.float32).reshape(1, 3))
+    return vec3f([shape.center_of_mass])[0], moments, gf_quaternion(quaternion_of_matrix(axes))

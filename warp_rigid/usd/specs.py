@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Tf
+import numpy as np
+from pxr import Sdf, Tf, Vt
 
 from warp_rigid.files.atomic import atomic_file
 
@@ -116,6 +117,11 @@ def set_attribute(
     if interpolation:
         attribute.SetInfo("interpolation", interpolation)
     return attribute
+
+
+def vec3f(values: Any) -> Vt.Vec3fArray:
+    """Vectors (n, 3) as an array of USD in single precision."""
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
 
 
 def set_relationship(prim: Sdf.PrimSpec, name: str, *targets: Any) -> None:
