@@ -123,30 +123,25 @@ class Film:
         )
 
 
-def film_from_recording(recording: Recording, envs=None) -> Film:
-    """Create a film of the environments of a recording, arranged as by export_usd.
-
-    Raises:
-        ValueError: One of the environments was not recorded.
-    """
-    rows = recording.rows(envs)
+def film_from_recording(recording: Recording) -> Film:
+    """Create a film of the environments of a recording, arranged as by export_usd."""
+    envs, bodies, frames = len(recording.envs), len(recording.surface), len(recording.time)
     spread = spread_of(recording)
-    surfaces = drawn_surfaces(recording, len(rows), spread)
-    offsets = environment_offsets(len(rows), spread.spacing()).astype(np.float32)
-    frames, count = len(recording.time), len(rows) * len(recording.surface)
+    surfaces = drawn_surfaces(recording, envs, spread)
+    offsets = environment_offsets(envs, spread.spacing()).astype(np.float32)
     return Film(
         meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
-        mesh=np.tile(recording.surface, len(rows)),
-        color=np.tile(body_colors(recording.motion, recording.looks), (len(rows), 1)),
-        position=(recording.position[:, rows] + offsets[:, None]).reshape(frames, count, 3),
-        orientation=recording.orientation[:, rows].reshape(frames, count, 4),
+        mesh=np.tile(recording.surface, envs),
+        color=np.tile(body_colors(recording.motion, recording.looks), (envs, 1)),
+        position=(recording.position + offsets[:, None]).reshape(frames, envs * bodies, 3),
+        orientation=recording.orientation.reshape(frames, envs * bodies, 4),
         fps=recording.fps,
-        env=np.repeat(np.arange(len(rows)), len(recording.surface)),
+        env=np.repeat(np.arange(envs), bodies),
         offset=offsets,
-        labels=tuple(recording.labels[row] for row in rows),
-        body=np.tile(np.arange(len(recording.surface)), len(rows)),
-        dynamic=np.tile(recording.motion == Motion.DYNAMIC, len(rows)),
-        gloss=np.tile(body_gloss(len(recording.surface), recording.looks), (len(rows), 1)),
+        labels=recording.labels,
+        body=np.tile(np.arange(bodies), envs),
+        dynamic=np.tile(recording.motion == Motion.DYNAMIC, envs),
+        gloss=np.tile(body_gloss(bodies, recording.looks), (envs, 1)),
         camera=recording.camera or Camera(),
     )
 

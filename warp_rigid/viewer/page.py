@@ -237,7 +237,7 @@ def _in_view(camera: Any, points: np.ndarray) -> bool:
     return bool(((np.abs(to @ right) < wide) & (np.abs(to @ np.cross(right, ahead)) < tall)).all())
 
 
-def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None:
+def look_from(view, film: Film, width: int, height: int) -> None:
     """Place a camera of the page where the camera of the film is.
 
     Args:
@@ -245,7 +245,6 @@ def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None
         film: the film.
         width: width of the view, without the panel [pixel].
         height: height of the view [pixel].
-        frame: index of the frame, for a camera that follows a body.
     """
     camera = shifted(film.camera, film.offset[0])
     if abs(camera.elevation) > STEEPEST:
@@ -254,7 +253,7 @@ def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None
     tall = math.tan(0.5 * math.radians(camera.field_of_view))
     free = UNCOVERED if width < min(NARROW, UPRIGHT * height) else 1.0
     if is_placed(camera):
-        eye, distance = place_camera(camera, film, frame)
+        eye, distance = place_camera(camera, film, 0)
     else:
         points = points_to_see(film, np.unique(np.linspace(0, film.num_frames - 1, 12).astype(int)))
         if film.num_frames == 1:
