@@ -5,7 +5,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.test_joints import DT, G, anchor_errors, bits, simulator, tumbling
-from warp_rigid.sweep.structure import structure
+from warp_rigid.sweep.job import structure
 
 HALF = 0.1
 

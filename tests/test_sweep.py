@@ -7,9 +7,8 @@ import warp_rigid as wr
 from warp_rigid import scenes
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep import batch_run as batch_module
-from warp_rigid.sweep.job import resolve_scene
-from warp_rigid.sweep.structure import structure
-from warp_rigid.sweep.table import BOOKKEEPING
+from warp_rigid.sweep.columns import BOOKKEEPING
+from warp_rigid.sweep.job import resolve_scene, structure
 
 GRAVITY = 9.81
 

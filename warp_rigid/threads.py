@@ -96,10 +96,15 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_open_again)
 
 
-def exclusive() -> Any:
-    """Context in which no other thread uses a device through this package; required for recording and compiling."""
+@contextmanager
+def exclusive() -> Iterator[None]:
+    """Context in which no other thread uses a device through this package; required for recording and compiling.
+
+    As a decorator, `@exclusive()`, it holds for each call.
+    """
     start_warp()
-    return _gate.exclusive()
+    with _gate.exclusive():
+        yield
 
 
 def device_work(device: Any) -> Any:

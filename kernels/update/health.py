@@ -1,5 +1,4 @@
-"""Health checks every few steps: overlaps that do not shrink, energy gained without work, loads, lost precision, and
-velocities that were not solved.
+"""Health checks every few steps: overlaps, energy gained without work, loads, lost precision, unsolved velocities.
 
 They are not a stage of the recorded step: they read what it left, and change only `health` and the warnings.
 """

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 import warp_rigid as wr
 from tests.fuzz.harness import Target, damaged
 from warp_rigid.render.film import film_from_usd
+from warp_rigid.usd import opening
 from warp_rigid.usd.check import check_usd
 from warp_rigid.usd.flatten import flatten_usd
 from warp_rigid.usd.load import film_duration
-from warp_rigid.usd.opening import start_examiner
 
-start_examiner()  # the process that examines files is no doing of a case
+opening._EXAMINER.start()  # the process that examines files is no doing of a case
 
 HEAD = '#usda 1.0\n(\n    defaultPrim = "World"\n    upAxis = {up}\n    metersPerUnit = {meters}\n)\n'
 

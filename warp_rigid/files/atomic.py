@@ -15,8 +15,6 @@ from typing import Any
 if sys.platform != "win32":  # where what killed processes leave stays
     import fcntl
 
-__all__ = ["atomic_file", "check_replaceable", "check_unread", "hidden_beside", "replace_files"]
-
 TAG = "warp_rigid_"
 """What the names of hidden files contain, before a random number."""
 MOST_BYTES = 100

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["READERS", "triangulated"]
-
 Polygons = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Points (n, 3), the corners of all polygons one after another (c,), and the number of corners of each polygon (p,)."""
 

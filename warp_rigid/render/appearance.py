@@ -16,24 +16,6 @@ from warp_rigid.scene.look import Look
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes.plane import DRAWN_HALF_WIDTH
 
-__all__ = [
-    "COLORINGS",
-    "Spread",
-    "apply_coloring",
-    "body_colors",
-    "body_gloss",
-    "bound_corners",
-    "continuous_signs",
-    "corner_normals",
-    "drawn_surfaces",
-    "environment_colors",
-    "environment_offsets",
-    "frame_colors",
-    "level_colors",
-    "speed_colors",
-    "spread_of",
-]
-
 # sRGB colours. Neighbours in the list differ in hue and lightness, so that consecutive bodies are distinguishable
 # with colour blindness.
 DYNAMIC_COLORS = (

@@ -16,12 +16,11 @@ from warp_rigid.render.appearance import (
     frame_colors,
     spread_of,
 )
+from warp_rigid.rotations import rotate
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import Camera, camera_of_text
 from warp_rigid.scene.scene import Motion
-
-__all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +90,17 @@ class Film:
         moves = (self.position != self.position[0]).any(axis=(0, 2))
         return moves | (self.orientation != self.orientation[0]).any(axis=(0, 2))
 
+    @property
+    def flat(self) -> np.ndarray:
+        """(instances,) True for those whose triangles are all parallel."""
+        return np.array([mesh.flat for mesh in self.meshes])[self.mesh]
+
+    @property
+    def level(self) -> np.ndarray:
+        """(instances,) True for planes that lie level and fixed, which are drawn as one endless ground."""
+        normals = np.array([mesh.normals[0, 0] for mesh in self.meshes])[self.mesh]
+        return self.flat & ~self.moving & (rotate(self.orientation[0], normals)[:, 2] > 1.0 - 1.0e-6)
+
     def color_at(self, frame: int) -> np.ndarray:
         """Colours of one frame, (instances, 3)."""
         return self.color if self.color.ndim == 2 else self.color[frame]
@@ -113,30 +123,25 @@ class Film:
         )
 
 
-def film_from_recording(recording: Recording, envs=None) -> Film:
-    """Create a film of the environments of a recording, arranged as by export_usd.
-
-    Raises:
-        ValueError: One of the environments was not recorded.
-    """
-    rows = recording.rows(envs)
+def film_from_recording(recording: Recording) -> Film:
+    """Create a film of the environments of a recording, arranged as by export_usd."""
+    envs, bodies, frames = len(recording.envs), len(recording.surface), len(recording.time)
     spread = spread_of(recording)
-    surfaces = drawn_surfaces(recording, len(rows), spread)
-    offsets = environment_offsets(len(rows), spread.spacing()).astype(np.float32)
-    frames, count = len(recording.time), len(rows) * len(recording.surface)
+    surfaces = drawn_surfaces(recording, envs, spread)
+    offsets = environment_offsets(envs, spread.spacing()).astype(np.float32)
     return Film(
         meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
-        mesh=np.tile(recording.surface, len(rows)),
-        color=np.tile(body_colors(recording.motion, recording.looks), (len(rows), 1)),
-        position=(recording.position[:, rows] + offsets[:, None]).reshape(frames, count, 3),
-        orientation=recording.orientation[:, rows].reshape(frames, count, 4),
+        mesh=np.tile(recording.surface, envs),
+        color=np.tile(body_colors(recording.motion, recording.looks), (envs, 1)),
+        position=(recording.position + offsets[:, None]).reshape(frames, envs * bodies, 3),
+        orientation=recording.orientation.reshape(frames, envs * bodies, 4),
         fps=recording.fps,
-        env=np.repeat(np.arange(len(rows)), len(recording.surface)),
+        env=np.repeat(np.arange(envs), bodies),
         offset=offsets,
-        labels=tuple(recording.labels[row] for row in rows),
-        body=np.tile(np.arange(len(recording.surface)), len(rows)),
-        dynamic=np.tile(recording.motion == Motion.DYNAMIC, len(rows)),
-        gloss=np.tile(body_gloss(len(recording.surface), recording.looks), (len(rows), 1)),
+        labels=recording.labels,
+        body=np.tile(np.arange(bodies), envs),
+        dynamic=np.tile(recording.motion == Motion.DYNAMIC, envs),
+        gloss=np.tile(body_gloss(bodies, recording.looks), (envs, 1)),
         camera=recording.camera or Camera(),
     )
 
@@ -176,9 +181,7 @@ def film_from_usd(path) -> Film:
     """
     from warp_rigid.usd.opening import convert_errors, open_stage
 
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    stage = open_stage(path)
+    stage = open_stage(Path(path))
     with convert_errors(path):
         return _film_of_stage(stage)
 
@@ -203,21 +206,22 @@ def _film_of_stage(stage) -> Film:
     count = [0] * len(envs)
     codes = time_codes(stage)
     frames = np.arange(codes.first, codes.last + 1)
-    offset = np.array([_translation(prim) for prim in envs])
+    places = UsdGeom.XformCache()
+    offset = np.array([places.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
     body, dynamic, gloss = [], [], []
     for index, group in groups:
         read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
-        drawn, places, turns, group_colors = read(group, frames)
+        drawn, positions, turns, group_colors = read(group, frames)
         key = drawn.vertices.tobytes() + drawn.faces.tobytes()
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
-        position.append(places + offset[index].astype(np.float32))
+        position.append(positions + offset[index].astype(np.float32))
         orientation.append(turns)
         color.append(group_colors)
-        mesh.append(np.full(places.shape[1], mesh_index[key]))
-        env.append(np.full(places.shape[1], index))
+        mesh.append(np.full(positions.shape[1], mesh_index[key]))
+        env.append(np.full(positions.shape[1], index))
         ids = group.GetAttribute("ids").Get() if group.IsA(UsdGeom.PointInstancer) else [count[index]]
         body.append(np.array(ids, np.int64))
         dynamic.append(np.full(len(body[-1]), custom_data(group).get("motion") == "dynamic"))
@@ -314,13 +318,6 @@ def _read_gloss(prim, count: int) -> np.ndarray:
         if primvar.HasValue():
             gloss[:, column] = np.array(primvar.Get(), np.float32)
     return gloss
-
-
-def _translation(prim) -> np.ndarray:
-    from pxr import UsdGeom
-
-    matrix = UsdGeom.XformCache().GetLocalToWorldTransform(prim)
-    return np.array(matrix.ExtractTranslation())
 
 
 def _read(attribute, frames) -> np.ndarray:

@@ -15,18 +15,6 @@ from warp_rigid.render.shading import CameraView
 from warp_rigid.rotations import rotate
 from warp_rigid.scene.camera import Camera
 
-__all__ = [
-    "CameraPath",
-    "camera_directions",
-    "event_end",
-    "fit_camera",
-    "is_placed",
-    "place_at_body",
-    "place_camera",
-    "points_to_see",
-    "shifted",
-]
-
 TOWARD_LIGHT = (-0.35, -0.55, 1.0)
 DEFAULT = Camera()
 MARGIN = 1.12
@@ -214,7 +202,7 @@ class _Aim:
         view = CameraView()
         view.eye, view.forward = wp.vec3(*eye), wp.vec3(*-self.back)
         view.right, view.up = wp.vec3(*(self._wide * self._right)), wp.vec3(*(self._tall * self._up))
-        view.light = wp.vec3(*_unit(TOWARD_LIGHT))
+        view.light = wp.vec3(*(np.array(TOWARD_LIGHT) / np.linalg.norm(TOWARD_LIGHT)))
         view.lamp_radius = LAMP_RADIUS
         view.pixel = 2.0 * self._tall / self._height
         view.grid = grid or grid_length(reach)
@@ -309,7 +297,7 @@ def points_to_see(film: Film, frames) -> np.ndarray:
         frames: indices of the frames to consider.
     """
     corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])[film.mesh]
-    flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
+    flat = film.flat
     chosen = ((film.moving | film.dynamic) & ~flat, ~flat, np.ones_like(flat))
     moving = next(mask for mask in chosen if mask.any())
 
@@ -380,8 +368,3 @@ def grid_length(reach: float) -> float:
     length = reach / 12.0
     power = 10.0 ** math.floor(math.log10(length))
     return power * max(step for step in (1.0, 2.0, 5.0) if step <= length / power * (1.0 + 1e-9))
-
-
-def _unit(vector) -> np.ndarray:
-    vector = np.asarray(vector, dtype=np.float64)
-    return vector / np.linalg.norm(vector)

@@ -23,8 +23,6 @@ from warp_rigid.scene.look import Look
 if TYPE_CHECKING:
     import pygltflib
 
-__all__ = ["export_gltf"]
-
 Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """Rotation of the root node, since glTF has y up."""
 MATT = Look(roughness=0.7)

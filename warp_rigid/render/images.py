@@ -12,8 +12,6 @@ from warp_rigid.render.film import Film
 from warp_rigid.render.framing import CameraPath, event_end
 from warp_rigid.render.raycast import RayCaster
 
-__all__ = ["save_contact_sheet", "save_film", "save_picture"]
-
 Progress = Callable[[int, int], object] | None
 
 PICTURE_SIZE = (1280, 720)

@@ -22,8 +22,6 @@ from warp_rigid.threads import exclusive
 
 wp.set_module_options({"enable_backward": False})
 
-__all__ = ["RayCaster"]
-
 FAR = wp.constant(1.0e6)
 SECTION_SHADE = wp.constant(0.8)  # brightness of the inside of a solid that is cut open
 LAMP_RADIUS = 0.05
@@ -337,18 +335,15 @@ class RayCaster:
             are cut open.
     """
 
+    @exclusive()  # it changes the default device of all threads
     def __init__(self, film: Film, camera: CameraView):
         """Build the data shared by all frames."""
-        with exclusive():  # it changes the default device of all threads
-            self._upload(film, camera)
-
-    def _upload(self, film: Film, camera: CameraView) -> None:
         load_module(wp.get_device("cpu"), __name__, 1)
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
         corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
         self._corners = corners[film.mesh]
-        flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
+        flat = film.flat
         waving = np.array([len(mesh.frames) > 0 for mesh in film.meshes])[film.mesh]
         faces = np.array([len(mesh.faces) for mesh in film.meshes])
         self._first_face = np.cumsum(faces) - faces
@@ -368,12 +363,10 @@ class RayCaster:
             self._add_planes(endless_planes(film))
             self._cut_away(~film.moving & ~flat & ~waving)
 
+    @exclusive()
     def draw(self, frame: int, width: int, height: int, camera: Any = None) -> np.ndarray:
         """Render one frame, (height, width, 3) uint8 (sRGB), with the camera of the film or another one."""
-        with exclusive():
-            return self._draw(frame, width, height, camera or self._camera)
-
-    def _draw(self, frame: int, width: int, height: int, camera: Any) -> np.ndarray:
+        camera = camera or self._camera
         self._place_instances(frame)
         x = (2.0 * np.arange(width) + 1.0) / width - 1.0
         y = 1.0 - (2.0 * np.arange(height) + 1.0) / height
@@ -508,10 +501,8 @@ def endless_planes(film: Film) -> np.ndarray:
 
     A tilted plane of one of several environments is drawn as a square, so that it does not cut through the others.
     """
-    square = np.array([mesh.flat and len(mesh.faces) == 2 for mesh in film.meshes])[film.mesh] & ~film.moving
-    normals = np.array([mesh.normals[0, 0] if mesh.flat else (0.0, 0.0, 1.0) for mesh in film.meshes])[film.mesh]
-    level = rotate(film.orientation[0], normals)[:, 2] > 1.0 - 1e-6
-    return square & (level | (len(film.labels) == 1))
+    square = film.flat & ~film.moving & (np.array([len(mesh.faces) for mesh in film.meshes])[film.mesh] == 2)
+    return square & (film.level | (len(film.labels) == 1))
 
 
 def within_hull(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:

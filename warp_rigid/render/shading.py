@@ -4,8 +4,6 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-__all__ = ["HORIZON_COLOR", "CameraView", "glossy_color", "grid_shade", "lit_color", "sky_color"]
-
 HORIZON_COLOR = wp.constant(wp.vec3(0.76, 0.80, 0.84))
 ZENITH_COLOR = wp.constant(wp.vec3(0.30, 0.46, 0.68))
 GROUND_GLOW = wp.constant(wp.vec3(0.25, 0.235, 0.22))

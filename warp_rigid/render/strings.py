@@ -10,8 +10,6 @@ from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.joints import DistanceJoint
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["with_strings"]
-
 SIDES = 6
 """Sides of a tube."""
 THICKNESS = 0.02

@@ -16,8 +16,6 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import SURFACE_VELOCITIES
 
-__all__ = ["BODY_PROPERTIES", "PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
-
 BODY_PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, *SURFACE_VELOCITIES, "active")
 SELECTING = (*BODY_PROPERTIES, *joint_quantities.WRITABLE)
 """Properties of bodies and of joints, which can be selected by name."""
@@ -73,13 +71,12 @@ def parse_assignment(text: str, flag: str = "--set") -> tuple[str, list]:
     return name + bracket + bodies, [_value(part) for part in parts]
 
 
-def join_vector(name: str, values: list, flag: str = "--set") -> list:
+def join_vector(name: str, values: list) -> list:
     """Join the numbers of one vector that is written without brackets, such as gravity=0,0,-1.62.
 
     Args:
         name: the name, with or without a selection of bodies.
         values: from parse_assignment.
-        flag: option name for the error message.
 
     Raises:
         ValueError: The quantity is a vector and a value is not.
@@ -94,7 +91,7 @@ def join_vector(name: str, values: list, flag: str = "--set") -> list:
         try:
             check_vectors(plain, value)
         except ValueError as error:
-            raise ValueError(f"{flag} {error}; write vectors in brackets: {plain}=(0,0,1),(0,0,2)") from None
+            raise ValueError(f"--set {error}; write vectors in brackets: {plain}=(0,0,1),(0,0,2)") from None
     return values
 
 

@@ -9,8 +9,6 @@ from warp_rigid.scene.scene import Body
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.scene.shapes.heightfield import moves
 
-__all__ = ["DrawnSurface", "drawn_surface", "surfaces_of"]
-
 
 def _no_swing() -> np.ndarray:
     """The swing of a surface of constant shape."""

@@ -31,8 +31,6 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.scenes.demo import no_events
 
-__all__ = ["FILE_SCENE_DURATION", "NoOutcome", "scene_of_file"]
-
 FILE_SCENE_DURATION = 4.0
 """Default duration of a scene from a user's file [s]."""
 

@@ -28,8 +28,6 @@ from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
 
-__all__ = ["Frame", "Recorder", "Recording", "is_moving", "record", "steps_per_frame"]
-
 KIND = "recording"
 VERSION = 3  # increase when older files can no longer be read
 MAX_STEPS_PER_FRAME = 1_000_000

@@ -6,6 +6,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,6 @@ from warp_rigid.usd.load import film_duration
 from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
 from warp_rigid.usd.robots import ROBOT_SUFFIXES, import_robot
 from warp_rigid.version import __version__
-
-__all__ = ["Plan", "Result", "execute", "find_scene", "plan_run", "set_each", "step_frame"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,11 +157,12 @@ def plan_run(
         expected = (None,) * count
     else:
         expected = tuple(variants) or ("default",) * count
+    labels = tuple(", ".join(f"{name}={v[env]}" for name, v in given.batched.items()) for env in range(count))
     return Plan(
         demo=demo,
         scene=scene,
         sim=sim,
-        labels=tuple(variants) or _labels(given, count),
+        labels=tuple(variants) or labels,
         variants=expected,
         fps=fps,
         frames=frames,
@@ -271,38 +271,31 @@ def _scene_of_usd(path: Path) -> Demo:
         path = shipped
 
     def build(root: str | None = None, sdf_resolution: int = 64) -> Scene:
-        with warnings.catch_warnings():
-            # The caller prints the whole import report.
-            warnings.filterwarnings("ignore", message=".*see scene.import_report")
-            return import_usd(path, root, sdf_resolution=sdf_resolution)
+        return import_usd(path, root, sdf_resolution=sdf_resolution)
 
-    return Demo(
-        name=path.stem,
-        summary=f"the bodies of {path.name}",
-        build=build,
-        outcome=NoOutcome,
-        duration=film_duration(path) or FILE_SCENE_DURATION,
-        variants={},
-    )
+    return _imported(path, build, film_duration(path) or FILE_SCENE_DURATION)
 
 
 def _scene_of_robot(path: Path) -> Demo:
     """The scene of an MJCF or URDF file, without an outcome."""
 
     def build(self_collision: bool = False, sdf_resolution: int = 64) -> Scene:
-        with warnings.catch_warnings():
-            # The caller prints the whole import report.
-            warnings.filterwarnings("ignore", message=".*see scene.import_report")
-            return import_robot(path, self_collision=self_collision, sdf_resolution=sdf_resolution)
+        return import_robot(path, self_collision=self_collision, sdf_resolution=sdf_resolution)
 
-    return Demo(
-        name=path.stem,
-        summary=f"the bodies of {path.name}",
-        build=build,
-        outcome=NoOutcome,
-        duration=FILE_SCENE_DURATION,
-        variants={},
-    )
+    return _imported(path, build, FILE_SCENE_DURATION)
+
+
+def _imported(path: Path, build: Callable[..., Scene], duration: float) -> Demo:
+    """The scene of a file, without an outcome and without warnings: the caller prints the whole import report."""
+
+    @wraps(build)
+    def quiet(*arguments: Any, **named: Any) -> Scene:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*see scene.import_report")
+            return build(*arguments, **named)
+
+    summary = f"the bodies of {path.name}"
+    return Demo(path.stem, summary, quiet, NoOutcome, duration, variants={})
 
 
 def _settings(demo: Demo, given: Assignments, fps: float, substeps: int | None) -> Settings:
@@ -403,11 +396,6 @@ def _is_meant(entry: Any, plain: str) -> bool:
     if plain in SURFACE_VELOCITIES:
         return any(any(getattr(entry, name)) for name in SURFACE_VELOCITIES)
     return owner_of(plain) == "joints" or plain in COEFFICIENTS or entry.motion == Motion.DYNAMIC
-
-
-def _labels(given: Assignments, count: int) -> tuple[str, ...]:
-    """One label such as "friction=0.1" per environment."""
-    return tuple(", ".join(f"{name}={values[env]}" for name, values in given.batched.items()) for env in range(count))
 
 
 def step_frame(sim: Simulator, steps: int, events: list) -> None:

@@ -13,17 +13,6 @@ from warp_rigid.checks import shown
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.scene.scene import Scene
 
-__all__ = [
-    "UserCodeError",
-    "check_call",
-    "check_columns",
-    "column_name",
-    "errors_of",
-    "module_of_file",
-    "scene_function",
-    "takes_parameters",
-]
-
 
 class UserCodeError(ValueError):
     """An error of a user's code: one line with the file and the line of code.

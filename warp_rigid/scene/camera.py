@@ -7,8 +7,6 @@ from typing import Any
 
 from warp_rigid.checks import MOST_LISTED, finite_vector, number_in, shown, suggestion
 
-__all__ = ["AZIMUTH", "ELEVATION", "FIELD_OF_VIEW", "Camera", "camera_of_text", "with_body_index"]
-
 AZIMUTH, ELEVATION = -67.0, 22.0
 """Direction from which bodies are seen by default [degree]."""
 FIELD_OF_VIEW = 30.0

@@ -17,8 +17,6 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 
-__all__ = ["COEFFICIENTS", "Coefficient", "CoefficientKeywords", "Coefficients", "list_coefficients"]
-
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 

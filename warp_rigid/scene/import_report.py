@@ -1,10 +1,9 @@
 """Report of the differences between an imported scene and its file."""
 
+import warnings
 from dataclasses import dataclass, field
 
 from warp_rigid.scene.camera import Camera
-
-__all__ = ["ImportFinding", "ImportReport"]
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,19 @@ class ImportReport:
     def changed(self) -> list[ImportFinding]:
         """Findings on content that was imported with changes."""
         return [finding for finding in self.findings if finding.kind == "changed"]
+
+    def tell(self, strict: bool, stacklevel: int) -> None:
+        """Warn about what was left out.
+
+        Raises:
+            ValueError: `strict` is set and there are findings.
+        """
+        if strict and self.findings:
+            more = f" (and {len(self.findings) - 1} more)" if len(self.findings) > 1 else ""
+            raise ValueError(f"{self.file}: {self.findings[0]}{more}")
+        if self.left_out:
+            text = f"{len(self.left_out)} left out, see scene.import_report; first: {self.left_out[0]}"
+            warnings.warn(f"{self.file}: {text}", stacklevel=stacklevel + 1)
 
     def __str__(self) -> str:
         """One line per finding."""

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 from warp_rigid.checks import finite_vector, number_in, whole_in
 
-__all__ = ["Look", "looks_from_data", "looks_to_data"]
-
 
 @dataclass(frozen=True)
 class Look:

@@ -10,8 +10,6 @@ import numpy as np
 from warp_rigid.checks import LARGEST, brief, numbers_of, shown
 from warp_rigid.rotations import inverse, multiply
 
-__all__ = ["PosePath"]
-
 SAME_PLACE, SAME_TURN = 1e-6, 1e-6
 """Distance [m] and angle [rad] of the first and the last pose of a path that is repeated."""
 

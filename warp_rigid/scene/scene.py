@@ -27,8 +27,6 @@ from warp_rigid.scene.shapes.heightfield import Heightfield
 if TYPE_CHECKING:
     from warp_rigid.scene.import_report import ImportReport
 
-__all__ = ["COMBINE_RULES", "SURFACE_VELOCITIES", "Body", "Motion", "Scene"]
-
 Vector = Sequence[float] | np.ndarray
 
 COMBINE_RULES = tuple(rule.name.lower() for rule in CombineRule)
@@ -431,7 +429,7 @@ class Scene:
             collide=collide,
             armature=armature,
         )
-        self.joints.append(replace(entry, name=_unique(entry.name, self._copies_of_joints)))
+        self.joints.append(replace(entry, name=unique_name(entry.name, self._copies_of_joints)))
         if second is not None and not collide:
             self.filter_pair(first, second)
         return len(self.joints) - 1
@@ -500,7 +498,7 @@ class Scene:
             linear_velocity=finite_vector("linear_velocity", linear_velocity),
             angular_velocity=finite_vector("angular_velocity", angular_velocity),
             mass=mass,
-            name=_unique(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}", self._copies),
+            name=unique_name(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}", self._copies),
             active=active,
             surface_velocity=finite_vector("surface_velocity", surface[0]),
             surface_angular_velocity=finite_vector("surface_angular_velocity", surface[1]),
@@ -524,7 +522,7 @@ def _start(state: tuple, path: PosePath | None) -> tuple:
     return (*path.at(0.0), STILL, STILL)
 
 
-def _unique(wanted: str, copies: dict[str, int]) -> str:
+def unique_name(wanted: str, copies: dict[str, int]) -> str:
     """The wanted name, with a number behind it if it is taken; `copies`: next number for each name that is taken."""
     name = wanted
     while name in copies:

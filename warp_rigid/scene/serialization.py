@@ -11,7 +11,7 @@ from warp_rigid.files.archive import shaped
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import FIELDS
-from warp_rigid.scene.joints import JOINTS, JointEntry, JointFrame
+from warp_rigid.scene.joints import JOINTS, JointFrame
 from warp_rigid.scene.look import looks_from_data, looks_to_data
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
@@ -51,7 +51,10 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
         "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
-        "joints": [_joint_data(entry) for entry in scene.joints],
+        "joints": [
+            {**asdict(entry), "kind": type(entry.joint).__name__, "joint": entry.joint.values()}
+            for entry in scene.joints
+        ],
     }
 
 
@@ -84,11 +87,6 @@ def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
     for entry in data.get("joints", []):  # older files have none
         _add_joint(scene, entry)
     return scene
-
-
-def _joint_data(entry: JointEntry) -> dict[str, Any]:
-    """A joint as plain data."""
-    return {**asdict(entry), "kind": type(entry.joint).__name__, "joint": entry.joint.values()}
 
 
 def _path_data(path: PosePath) -> dict[str, Any]:

@@ -11,10 +11,6 @@ import numpy as np
 from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.runs.assignments import parse_assignment
 
-__all__ = [
-    "Choice", "Distribution", "Integers", "LogUniform", "Normal", "Uniform", "clean_axes", "parse_axis", "plain",
-]  # fmt: skip
-
 MAX_VALUES = 10_000_000
 
 

@@ -18,13 +18,10 @@ from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
 from warp_rigid.sweep.failures import Failures
-from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
+from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs, structure
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure
 from warp_rigid.sweep.observers import Observers
 from warp_rigid.sweep.stopwatch import Stopwatch
-from warp_rigid.sweep.structure import structure
-
-__all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
 
 log = logging.getLogger("warp_rigid")
 
@@ -138,7 +135,8 @@ def run_batch(job: Job, runs: Sequence[Run], on_part: Callable[[float], object] 
         return _run(job, prepared, start, on_part)
     except Exception as error:
         refused = prepared is None and isinstance(error, ValueError)
-        if len(runs) == 1 or not (refused or _is_memory_error(error)):
+        too_large = isinstance(error, MemoryError | CapacityError) or "alloc" in str(error).lower()
+        if len(runs) == 1 or not (refused or too_large):
             return failed_batch(runs, error, (time.perf_counter() - start) / len(runs))
         problem = "contains a run with a bad value" if refused else "does not fit into memory"
         log.info("batch of %d runs %s (%s); splitting it in half", len(runs), problem, error)
@@ -154,11 +152,6 @@ def run_batch(job: Job, runs: Sequence[Run], on_part: Callable[[float], object] 
     watch.add(second.seconds)
     trajectories, series = first.trajectories + second.trajectories, first.series + second.series
     return Batch(first.rows + second.rows, trajectories, series, watch.seconds)
-
-
-def _is_memory_error(error: Exception) -> bool:
-    """Whether the error may be avoided by a smaller batch."""
-    return isinstance(error, MemoryError | CapacityError) or "alloc" in str(error).lower()
 
 
 def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | None = None) -> Batch:

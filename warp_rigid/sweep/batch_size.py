@@ -15,8 +15,6 @@ from warp_rigid.engine.pools import expected_pairs, sizes_for
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.design import Run
 
-__all__ = ["Footprint", "SizedRun", "footprint_of", "free_memory", "max_environments", "split_into_batches"]
-
 log = logging.getLogger("warp_rigid")
 
 MEMORY_FRACTION = 0.5

@@ -13,10 +13,8 @@ from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, split_into_batches
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
-from warp_rigid.sweep.worker import capacity_of, device_of
+from warp_rigid.sweep.worker_processes import capacity_of, device_of
 from warp_rigid.warp_start import start_warp
-
-__all__ = ["cluster_of_file", "run_on_cluster"]
 
 
 def run_on_cluster(

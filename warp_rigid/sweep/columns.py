@@ -1,12 +1,9 @@
-"""Standard columns of result tables, the fields of their metadata, and their interface."""
+"""Standard columns of result tables, the fields of their metadata, and units of columns."""
 
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Any
 
 from warp_rigid.checks import shown
-
-__all__ = ["BOOKKEEPING", "COLUMNS", "FINISHED", "METADATA_TYPES", "REQUIRED_COLUMNS", "Table", "metadata_field"]
+from warp_rigid.scene.coefficients import COEFFICIENTS
 
 FINISHED = ("ok", "out of bounds")
 """Statuses of a completed run. A run continues when bodies leave the bounds."""
@@ -26,6 +23,42 @@ METADATA_TYPES: dict[str, type] = {
 REQUIRED_COLUMNS = {"run": int, "id": str, "seed": int, "status": str}
 """Required columns and their types."""
 
+UNITS = {
+    "dt": "s",
+    "duration": "s",
+    "time": "s",
+    "wall_time": "s",
+    "mass": "kg",
+    "position": "m",
+    "linear_velocity": "m/s",
+    "angular_velocity": "rad/s",
+    "force": "N",
+    "torque": "N m",
+    "gravity": "m/s^2",
+    **{name: coefficient.unit for name, coefficient in COEFFICIENTS.items() if coefficient.unit},
+    "field_acceleration": "m/s^2",
+    "field_center": "m",
+    "field_strength": "m^3/s^2",
+    "field_drag": "1/s",
+    "field_velocity": "m/s",
+    "joint_break_force": "N",
+    "joint_break_torque": "N m",
+    "center_of_mass": "m",
+    "top_height": "m",
+    "deepest_overlap": "m",
+    "drift": "m",
+    "settle_time": "s",
+    "kinetic_energy": "J",
+    "potential_energy": "J",
+    "energy": "J",
+    "peak_impulse": "N s",
+    "summed_impulse": "N s",
+    "first_contact": "s",
+    "rest_time": "s",
+    "largest_overlap": "m",
+}
+"""Units of settings, properties, built-in metrics and observers that have one, and the same one in every scene."""
+
 
 def metadata_field(about: dict[str, Any], name: str) -> Any:
     """Return a metadata field, checked against its type."""
@@ -36,34 +69,6 @@ def metadata_field(about: dict[str, Any], name: str) -> Any:
     return value
 
 
-class Table(Protocol):
-    """Interface of a result table for plots and conversions; SweepResult implements it."""
-
-    rows: list[dict[str, Any]]
-    about: dict[str, Any]
-
-    def __len__(self) -> int:
-        """Number of rows."""
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the columns."""
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Units by the names of the columns that have one."""
-
-    @property
-    def axes(self) -> list[str]:
-        """Names of the axes."""
-
-    @property
-    def metrics(self) -> list[str]:
-        """Names of the metric columns."""
-
-    @property
-    def failed(self) -> list[dict[str, Any]]:
-        """Rows of runs that did not complete."""
-
-    def column(self, name: str) -> np.ndarray:
-        """Values of a column, one per row."""
+def unit_of(column: str) -> str | None:
+    """Unit of a column, such as "mass[box_3]"; None if it has none, or is of the user's code."""
+    return UNITS.get(column.split("[")[0])

@@ -12,8 +12,6 @@ import numpy as np
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.sweep.axes import Choice, Distribution
 
-__all__ = ["DESIGNS", "Run", "stable_hash", "make_points", "shard_of"]
-
 DESIGNS = ("grid", "zip", "random", "lhs")
 MAX_RUNS = 10_000_000
 

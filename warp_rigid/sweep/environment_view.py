@@ -10,8 +10,6 @@ from warp_rigid.engine.selection import Indices, Members, env_indices, indices_i
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["EnvironmentView", "SharedReads"]
-
 
 class SharedReads:
     """What the views of a simulator have read since it last changed: each quantity is read once for all of them.

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -29,14 +29,12 @@ from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
 from warp_rigid.sweep.metrics import check_metrics
 from warp_rigid.sweep.observers import check_observers
-from warp_rigid.sweep.series import open_series
+from warp_rigid.sweep.series import Series, ZarrSeries
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.sweep.worker_processes import MAX_WORKERS, WorkerProcesses
 from warp_rigid.version import __version__
 from warp_rigid.warp_start import start_warp
-
-__all__ = ["sweep"]
 
 log = logging.getLogger("warp_rigid")
 
@@ -123,7 +121,7 @@ def sweep(
     Raises:
         ValueError: A name is unknown, a value is out of range or `output` exists; raised before any run.
     """
-    machines = _machines(device, cluster, workers)
+    device, cluster, workers = _machines(device, cluster, workers)
     demo, scene_id = resolve_scene(scene)
     observers, names, kept = _observers(observe, series)
     job = Job(
@@ -137,7 +135,7 @@ def sweep(
         observers=observers,
         observe=names,
         series=kept,
-        device=machines.device,
+        device=device,
     )
     if series_output is not None and not kept:
         raise ValueError("series_output: requires series")
@@ -148,7 +146,7 @@ def sweep(
     if both:
         raise ValueError(f"{both[0]}: must be either fixed or an axis, not both")
     watch = Stopwatch()
-    with WorkerProcesses(machines.workers) if machines.cluster == "local" else nullcontext(machines.cluster) as runner:
+    with WorkerProcesses(workers) if cluster == "local" else nullcontext(cluster) as runner:
         with watch.of("plan"):
             all_runs = make_runs(job, make_points(clean, design, samples, repeats, seed or 0), seed)
         runs = shard_of(all_runs, shard)
@@ -171,7 +169,9 @@ def sweep(
 
             book.trajectories = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
         if job.series:
-            book.series = open_series(output, series_output, about, resume, overwrite)
+            book.series = (
+                Series(output, resume) if series_output is None else ZarrSeries(series_output, about, resume, overwrite)
+            )
         with progress_bar.progress(job.demo.name, len(runs), progress) as advance:
             _run_all(job, groups, batch, runner, book, watch, len(runs), on_progress, advance)
     return book.result()
@@ -263,16 +263,8 @@ def _results(
         yield part, run_batch(job, part, on_part)
 
 
-class _Machines(NamedTuple):
-    """Where the batches run; with the cluster "local" in `workers` processes of this machine."""
-
-    device: Any
-    cluster: Any
-    workers: int | None
-
-
-def _machines(device: Any, cluster: Any, workers: int | None) -> _Machines:
-    """The machines of the arguments; the device "all" is a worker for each GPU if there are several.
+def _machines(device: Any, cluster: Any, workers: int | None) -> tuple[Any, Any, int | None]:
+    """Device, cluster and number of workers; the device "all" is a worker for each GPU if there are several.
 
     Raises:
         ValueError: "all" is combined with a cluster or workers, or there are workers without the cluster "local".
@@ -282,12 +274,12 @@ def _machines(device: Any, cluster: Any, workers: int | None) -> _Machines:
             raise ValueError("device: all must not be combined with cluster or workers")
         start_warp()
         gpus = wp.get_cuda_device_count()
-        return _Machines(None, "local", gpus) if gpus > 1 else _Machines(None, None, None)
+        return (None, "local", gpus) if gpus > 1 else (None, None, None)
     if workers is not None:
         whole_in("workers", workers, 1, MAX_WORKERS)
         if cluster != "local":
             raise ValueError("workers: applies to cluster local only")
-    return _Machines(device, cluster, workers)
+    return device, cluster, workers
 
 
 def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], tuple[str, ...], tuple[str, ...]]:

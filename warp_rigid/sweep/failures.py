@@ -8,8 +8,6 @@ import numpy as np
 
 from warp_rigid.runs.user_code import UserCodeError, errors_of
 
-__all__ = ["Failures"]
-
 
 class Failures:
     """The environments of a batch in which the user's code failed.

@@ -1,17 +1,14 @@
-"""Result tables as tables of pyarrow, pandas and polars, and as datasets of xarray, with units."""
+"""Result tables as tables of pyarrow and as datasets of xarray, with units."""
 
 from typing import Any
 
 import numpy as np
 
 from warp_rigid.extras import need
-from warp_rigid.sweep.columns import Table
-
-__all__ = ["to_arrow", "to_pandas", "to_polars", "to_xarray"]
 
 
-def to_arrow(result: Table) -> Any:
-    """See SweepResult.to_arrow."""
+def arrow_table(result: Any) -> Any:
+    """The rows of a SweepResult as a pyarrow.Table with units."""
     pyarrow = need("pyarrow")
     columns = {name: _arrow_column(name, [row.get(name) for row in result.rows]) for name in result.names}
     units = {name: {"unit": unit} for name, unit in result.units.items()}
@@ -19,32 +16,19 @@ def to_arrow(result: Table) -> Any:
     return pyarrow.table(list(columns.values()), schema=pyarrow.schema(fields))
 
 
-def to_pandas(result: Table) -> Any:
-    """See SweepResult.to_pandas."""
-    need("pandas")
-    frame = to_arrow(result).to_pandas()
-    frame.attrs["units"] = dict(result.units)
-    return frame
-
-
-def to_polars(result: Table) -> Any:
-    """See SweepResult.to_polars."""
-    return need("polars").from_arrow(to_arrow(result))
-
-
-def to_xarray(result: Table) -> Any:
-    """See SweepResult.to_xarray."""
+def dataset(result: Any) -> Any:
+    """The rows of a SweepResult as an xarray.Dataset with units."""
     xarray = need("xarray")
     dims, coordinates, places = _grid(result) or _runs(result)
     variables = {}
     for name in result.names:
         if name not in coordinates:
             variables[name] = _variable(dims, coordinates, places, name, result.column(name))
-    dataset = xarray.Dataset(variables, coordinates)
+    found = xarray.Dataset(variables, coordinates)
     for name, unit in result.units.items():
-        dataset[name].attrs["units"] = unit
-    dataset.attrs.update({name: result.about[name] for name in ("scene", "version") if name in result.about})
-    return dataset
+        found[name].attrs["units"] = unit
+    found.attrs.update({name: result.about[name] for name in ("scene", "version") if name in result.about})
+    return found
 
 
 def _variable(dims: tuple[str, ...], coordinates: dict, places: tuple, name: str, values: np.ndarray) -> tuple:
@@ -60,7 +44,7 @@ def _variable(dims: tuple[str, ...], coordinates: dict, places: tuple, name: str
     return (*dims, *inner), found
 
 
-def _runs(result: Table) -> tuple[tuple[str, ...], dict[str, Any], tuple]:
+def _runs(result: Any) -> tuple[tuple[str, ...], dict[str, Any], tuple]:
     """One dimension, the run, with the axes as coordinates."""
     rows = (np.arange(len(result.rows)),)
     coordinates: dict[str, Any] = {"run": ("run", result.column("run"))}
@@ -69,7 +53,7 @@ def _runs(result: Table) -> tuple[tuple[str, ...], dict[str, Any], tuple]:
     return ("run",), coordinates, rows
 
 
-def _grid(result: Table) -> tuple[tuple[str, ...], dict[str, Any], tuple] | None:
+def _grid(result: Any) -> tuple[tuple[str, ...], dict[str, Any], tuple] | None:
     """A dimension for each axis of a grid of single values, and the repeats; None for other designs."""
     design = result.about.get("design") or {}
     values = design.get("axes") or {}

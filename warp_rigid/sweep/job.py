@@ -3,7 +3,7 @@
 import hashlib
 import inspect
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,6 @@ from warp_rigid.scenes import Demo
 from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.observers import check_bodies
-from warp_rigid.sweep.structure import structure
-
-__all__ = ["Job", "RunInputs", "group_runs", "make_runs", "run_inputs", "resolve_scene"]
 
 MAX_CACHED_SCENES = 4096
 """Maximum number of scenes cached between the validation of a design and its runs; others are built again."""
@@ -120,6 +117,16 @@ def resolve_scene(scene: Any) -> tuple[Demo, str]:
     raise ValueError(f"scene: must be a name, a .py file, a Scene or a function that returns one, got {scene!r}")
 
 
+def structure(scene: Scene) -> Hashable:
+    """All properties of a scene but the poses, velocities, masses, coefficients and activity of bodies, and gravity."""
+    bodies = tuple((body.shape.key, int(body.motion), body.name) for body in scene.bodies)
+    fields = tuple(repr(field) for field in scene.force_fields)
+    apart = tuple(sorted(scene.filtered_pairs))
+    joints = tuple(repr(joint) for joint in scene.joints)
+    limits = repr(scene.bounds), scene.out_of_bounds
+    return bodies, fields, apart, joints, limits, scene.friction_combine, scene.restitution_combine
+
+
 def make_runs(job: Job, points: list[tuple[dict[str, Any], int]], seed: int | None) -> list[Run]:
     """Create the run of every point, with its implied settings, its seed and its id."""
     base = job.demo.parameters.get("seed", 0) if seed is None else seed
@@ -128,9 +135,8 @@ def make_runs(job: Job, points: list[tuple[dict[str, Any], int]], seed: int | No
     implied = _implied_settings(job, given, [point for point, _ in points])
     runs, occurrences = [], {}
     for index, (point, repeat) in enumerate(points):
-        parameters = dict(point)
-        for name in implied:
-            parameters[name] = _implied_value(job, point, name, implied[name])
+        own = _implied_by(job, point)
+        parameters = {**point, **{name: own.get(name, default) for name, default in implied.items()}}
         parts = [job.scene_id, job.fixed, parameters, base + repeat, job.duration]
         run_id = stable_hash(*parts)
         occurrences[run_id] = occurrences.get(run_id, 0) + 1
@@ -221,22 +227,21 @@ def build_scene(job: Job, inputs: RunInputs) -> Scene:
 def _implied_settings(job: Job, given: set[str], points: list[dict[str, Any]]) -> dict[str, Any]:
     """Settings implied by axis values of this scene and not set explicitly, with their default values."""
     found: dict[str, Any] = {}
-    for axis, by_value in job.demo.goes_with.items():
-        values = dict.fromkeys(point[axis] for point in points if axis in point)
-        for value in values:
-            for name, implied in by_value.get(value, {}).items():
+    for axis in job.demo.goes_with:
+        for value in dict.fromkeys(point[axis] for point in points if axis in point):
+            for name, implied in _implied_by(job, {axis: value}).items():
                 if name not in given:
                     found[name] = job.demo.settings.get(name, getattr(Settings(), name))
                     log.info("%s=%s also sets %s=%s, unless set explicitly", axis, value, name, implied)
     return found
 
 
-def _implied_value(job: Job, point: dict[str, Any], name: str, otherwise: Any) -> Any:
-    """The value of a setting implied by the values of a point, or the default."""
+def _implied_by(job: Job, point: dict[str, Any]) -> dict[str, Any]:
+    """The settings implied by the values of a point; of several axes the first one counts."""
+    found: dict[str, Any] = {}
     for axis, by_value in job.demo.goes_with.items():
-        if axis in point and name in by_value.get(point[axis], {}):
-            return by_value[point[axis]][name]
-    return otherwise
+        found = {**by_value.get(point.get(axis), {}), **found}
+    return found
 
 
 def _check_property(scene: Scene, name: str, value: Any) -> None:

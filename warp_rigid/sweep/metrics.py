@@ -11,8 +11,6 @@ from warp_rigid.runs.user_code import check_columns
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
 
-__all__ = ["DEFAULT", "METRICS", "OUTCOME", "MetricRecorder", "check_metrics", "measure"]
-
 
 class MetricRecorder:
     """Samples the state of a batch while it runs, and evaluates the metrics of each environment.
@@ -80,10 +78,7 @@ def _settle_time(recorder: MetricRecorder) -> np.ndarray:
 
 def _kinetic_energy(recorder: MetricRecorder) -> np.ndarray:
     """Final kinetic energy of all bodies [J]."""
-    sim = recorder.sim
-    env = np.nonzero(sim.exists)[0]
-    # Added one after another, so that the sum does not depend on the number of bodies of other environments.
-    return np.bincount(env, weights=sim.get("kinetic_energy")[sim.exists], minlength=sim.num_envs)
+    return sum_of_bodies(recorder.sim, recorder.sim.get("kinetic_energy"))
 
 
 def _toppled(recorder: MetricRecorder) -> np.ndarray:
@@ -123,16 +118,12 @@ def _final_pose(recorder: MetricRecorder) -> dict[str, np.ndarray]:
 
 
 METRICS: dict[str, Callable[[MetricRecorder], Any]] = {
-    "top_height": _top_height,
-    "deepest_overlap": _deepest_overlap,
-    "drift": _drift,
-    "settle_time": _settle_time,
-    "kinetic_energy": _kinetic_energy,
-    "toppled": _toppled,
-    "escaped": _escaped,
-    "contacts": _contacts,
-    "final_pose": _final_pose,
-}
+    metric.__name__[1:]: metric
+    for metric in (
+        _top_height, _deepest_overlap, _drift, _settle_time, _kinetic_energy, _toppled, _escaped, _contacts,
+        _final_pose,
+    )
+}  # fmt: skip
 """Built-in metrics by name. "outcome" also selects the verdicts of the scene."""
 
 DEFAULT = tuple(name for name in METRICS if name != "final_pose")
@@ -160,6 +151,13 @@ def check_metrics(metrics: Any) -> tuple[str | Callable, ...]:
         return f"functions, .py files or names, got {shown(metric)}{suggestion(metric, known)}"
 
     return check_columns("metrics", metrics, known.__contains__, expected)
+
+
+def sum_of_bodies(sim: Simulator, values: np.ndarray) -> np.ndarray:
+    """Sum of (envs, bodies) values over the bodies of each environment, (envs,)."""
+    env = np.nonzero(sim.exists)[0]
+    # Added one after another, so that the sum does not depend on the number of bodies of other environments.
+    return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
 
 
 def measure(function: Callable, sim: Any) -> np.ndarray:

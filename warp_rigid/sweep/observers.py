@@ -19,8 +19,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.user_code import check_columns, column_name
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.failures import Failures
-
-__all__ = ["ENERGIES", "WATCHED", "Observers", "check_observers"]
+from warp_rigid.sweep.metrics import sum_of_bodies
 
 WATCHED = ("peak_impulse", "summed_impulse", "first_contact", "impacts", "rest_time", "largest_overlap")
 """Observers that watch an environment, a body or a pair of bodies in every step; see Simulator.watched."""
@@ -64,7 +63,7 @@ class Observers:
             if not isinstance(observer, str):
                 name = column_name(observer)
                 with failures.of(observer, f"observer {name}"):
-                    self._functions[name] = _made(observer, sim)
+                    self._functions[name] = observer(sim) if isinstance(observer, type) else observer
         self.look()
 
     def look(self) -> None:
@@ -100,9 +99,7 @@ class Observers:
         values = np.sum([sim.get(part) for part in parts], axis=0)
         if bodies:
             return self._of_row(values, bodies[0])
-        env = np.nonzero(sim.exists)[0]
-        # Added one after another, so that the sum does not depend on the number of bodies of other environments.
-        return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
+        return sum_of_bodies(sim, values)
 
     def _of_row(self, values: np.ndarray, name: str, owner: str = "bodies") -> np.ndarray:
         """The rows of a body or joint, (envs, ...); NaN where an environment has no such body or joint."""
@@ -150,11 +147,6 @@ def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -
         owner = _owner(name) if isinstance(name, str) else "bodies"
         if not any(all(body in place for body in bodies) for (_, whose), place in places.items() if whose == owner):
             raise ValueError(f"{name}: no scene has the {owner} {', '.join(bodies)}")
-
-
-def _made(observer: Any, sim: Simulator) -> Callable:
-    """An observer of the user; a class is made for this batch."""
-    return observer(sim) if isinstance(observer, type) else observer
 
 
 def _quantity(name: str) -> str:

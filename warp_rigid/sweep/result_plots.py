@@ -8,10 +8,7 @@ import numpy as np
 from warp_rigid.checks import one_of
 from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.sweep.columns import Table
-from warp_rigid.sweep.units import unit_of
-
-__all__ = ["KINDS", "plot"]
+from warp_rigid.sweep.columns import unit_of
 
 KINDS = ("line", "heatmap", "scatter")
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -34,25 +31,8 @@ def check_plot(path: Any, kind: str | None = None) -> None:
         one_of("kind", kind, KINDS)
 
 
-def plot(result: Table, path: Any = None, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
-    """Plot a result table.
-
-    Args:
-        result: the table.
-        path: output file, .png, .svg or .pdf; None writes none.
-        x: the axis on the x axis; None uses the one with most distinct values.
-        y: the metric; None uses the first numeric one.
-        kind: "line" (one line per value of the other axes), "heatmap" (over x and one other numeric axis, one panel
-            per value of the remaining axes) or "scatter" (scatter matrix of all numeric axes and the metric). None
-            uses lines for one axis, or if the other axes have no numbers or are one of few values, a heat map for a
-            grid of two numeric axes, else a scatter matrix.
-
-    Returns:
-        The matplotlib Figure, which a notebook shows as the value of a cell, and pyplot does not know.
-
-    Raises:
-        ValueError: The column or kind is unknown, or there is nothing to plot.
-    """
+def plot(result: Any, path: Any = None, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
+    """Plot the rows of a SweepResult; see SweepResult.plot."""
     check_plot(path, kind)
     from warp_rigid.sweep.shown_figure import ShownFigure
 
@@ -83,8 +63,11 @@ def plot(result: Table, path: Any = None, x: str | None = None, y: str | None = 
     return figure
 
 
-def _kind(result: Table, x: str, others: list[str]) -> str:
-    """The default kind of plot for a table."""
+def _kind(result: Any, x: str, others: list[str]) -> str:
+    """Lines for one axis, or if the other axes have no numbers or are one of few values; a heat map for a grid.
+
+    Else a scatter matrix.
+    """
     if not others:
         return "line"
     width, height = (len(set(result.column(name).tolist())) for name in (x, others[0]))
@@ -93,7 +76,7 @@ def _kind(result: Table, x: str, others: list[str]) -> str:
     return "line" if height <= FEW else "heatmap"
 
 
-def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> None:
+def _lines(figure: Any, result: Any, x: str, y: str, others: list[str]) -> None:
     """One line per combination of the other axes; repeats are drawn as their mean with a min-max band.
 
     Over words, which have no order, the means are points and the band is a bar.
@@ -125,7 +108,7 @@ def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> Non
         axes.legend(title=", ".join(others), fontsize="small")
 
 
-def _heat_maps(figure: Any, result: Table, x: str, along: str, y: str, others: list[str]) -> None:
+def _heat_maps(figure: Any, result: Any, x: str, along: str, y: str, others: list[str]) -> None:
     """One panel per combination of the other axes, with a common colour scale."""
     groups = _groups(result, others)
     columns, rows, values = result.column(x), result.column(along), result.column(y).astype(float)
@@ -146,7 +129,7 @@ def _heat_maps(figure: Any, result: Table, x: str, along: str, y: str, others: l
     figure.colorbar(image, ax=list(panels), label=_label(y))
 
 
-def _scatter_matrix(figure: Any, result: Table, names: list[str]) -> None:
+def _scatter_matrix(figure: Any, result: Any, names: list[str]) -> None:
     """Scatter matrix coloured by the last column, with histograms on the diagonal."""
     columns = [result.column(name).astype(float) for name in names]
     size = len(names)
@@ -169,7 +152,7 @@ def _label(name: str) -> str:
     return f"{name} [{unit.replace('^2', '²').replace('^3', '³')}]" if unit else name
 
 
-def _groups(result: Table, names: list[str]) -> dict[str, np.ndarray]:
+def _groups(result: Any, names: list[str]) -> dict[str, np.ndarray]:
     """Row masks grouped and labelled by the values of some axes, in the order of the design."""
     labels = [", ".join(_word(row[name]) for name in names) for row in result.rows]
     return {label: np.array([other == label for other in labels]) for label in dict.fromkeys(labels)}
@@ -197,7 +180,7 @@ def _is_number(values: np.ndarray) -> bool:
     return values.dtype.kind in "iuf"
 
 
-def _first_number(result: Table) -> str:
+def _first_number(result: Any) -> str:
     """The first metric with one number per run."""
     for name in result.metrics:
         values = result.column(name)
@@ -206,7 +189,7 @@ def _first_number(result: Table) -> str:
     raise ValueError("plot: requires a metric with one number per run")
 
 
-def _title(result: Table) -> str:
+def _title(result: Any) -> str:
     failed = len(result.failed)
     scene = result.about.get("scene", "").partition(":")[0]
     return f"{scene}, {len(result)} runs" + (f", {failed} failed" if failed else "")

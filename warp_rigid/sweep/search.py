@@ -8,8 +8,6 @@ from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Un
 from warp_rigid.sweep.columns import FINISHED
 from warp_rigid.sweep.execution import sweep
 
-__all__ = ["search"]
-
 
 def search(
     scene: Any,

@@ -11,8 +11,6 @@ import numpy as np
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.design import Run
 
-__all__ = ["Series", "ZarrSeries", "open_series", "read_series", "series_folder"]
-
 SUFFIX = ".series"
 ZARR = ".zarr"
 
@@ -26,16 +24,6 @@ RUNS_PER_CHUNK = 64
 def series_folder(output: Any) -> Path:
     """The folder of the time series beside a table."""
     return Path(output).with_suffix(SUFFIX)
-
-
-def open_series(output: Any, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> "Series | ZarrSeries":
-    """The time series of a sweep: a zarr folder if a path is given, else beside the table.
-
-    Raises:
-        ValueError: The path has another suffix, or exists and is neither resumed nor overwritten, or holds series of a
-            different sweep.
-    """
-    return Series(output, resume) if path is None else ZarrSeries(path, about, resume, overwrite)
 
 
 def open_zarr(name: str, folder: Path, resume: bool, overwrite: bool) -> Any:
@@ -53,6 +41,20 @@ def open_zarr(name: str, folder: Path, resume: bool, overwrite: bool) -> Any:
             raise ValueError(f"{folder}: {EXISTS}")
         shutil.rmtree(folder)
     return zarr.open_group(folder, mode="a")
+
+
+def array_of_runs(
+    group: Any, name: str, shape: tuple[int, ...], runs_per_chunk: int, dtype: Any, dimensions: list[str]
+) -> Any:
+    """The zarr array (runs, samples, ...) of a name, which is created or grows if needed; what a run lacks is NaN."""
+    if name not in group:
+        chunks = (runs_per_chunk, *shape[1:])
+        group.create_array(name, shape=shape, chunks=chunks, dtype=dtype, fill_value=np.nan, dimension_names=dimensions)
+    array = group[name]
+    wanted = (*map(max, array.shape[:2], shape[:2]), *array.shape[2:])
+    if wanted != array.shape:
+        array.resize(wanted)
+    return array
 
 
 class Series:
@@ -109,7 +111,7 @@ class ZarrSeries:
         overwrite: replace an existing folder.
 
     Raises:
-        ValueError: See open_series.
+        ValueError: As open_zarr, or the folder holds the series of a different sweep.
     """
 
     def __init__(self, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
@@ -129,30 +131,13 @@ class ZarrSeries:
         time = np.tile(looks["time"], (len(runs), 1))
         values = {name: np.swapaxes(looks[name], 0, 1) for name in looks if name != "time"}
         for name, of_runs in {"time": time, **values}.items():
-            array = self._array(name, of_runs.shape[1:])
+            names = ["run", "sample", "component"][: of_runs.ndim]
+            array = array_of_runs(self._root, name, (self._runs, *of_runs.shape[1:]), RUNS_PER_CHUNK, np.float64, names)
             array.set_orthogonal_selection((rows, slice(0, of_runs.shape[1])), of_runs.astype(np.float64))
 
     def table(self) -> Any:
         """All series as a pyarrow.Table; see read_series."""
         return read_series(self.folder)
-
-    def _array(self, name: str, shape: tuple[int, ...]) -> Any:
-        """The array of a series, for at least these samples of every run."""
-        if name not in self._root:
-            names = ["run", "sample", "component"]
-            self._root.create_array(
-                name,
-                shape=(self._runs, *shape),
-                chunks=(RUNS_PER_CHUNK, *shape),
-                dtype=np.float64,
-                fill_value=np.nan,
-                dimension_names=names[: 1 + len(shape)],
-            )
-        array: Any = self._root[name]
-        wanted = (max(array.shape[0], self._runs), max(array.shape[1], shape[0]), *array.shape[2:])
-        if wanted != array.shape:
-            array.resize(wanted)
-        return array
 
 
 def read_series(folder: Any) -> Any:

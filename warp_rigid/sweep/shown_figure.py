@@ -5,8 +5,6 @@ import io
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-__all__ = ["ShownFigure"]
-
 
 class ShownFigure(Figure):
     """A figure that pyplot does not know, so that it is shown once: as the value of a cell."""

@@ -4,8 +4,6 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-__all__ = ["Stopwatch"]
-
 PHASES = {
     "plan": "checking the design",
     "start": "waiting for workers",

@@ -11,24 +11,15 @@ import numpy as np
 from warp_rigid import scenes
 from warp_rigid.checks import shown, suggestion
 from warp_rigid.display import html_of
+from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file, check_replaceable
-from warp_rigid.sweep import frames
 from warp_rigid.sweep.axes import plain
 from warp_rigid.sweep.batch_run import Batch, replay
-from warp_rigid.sweep.columns import (
-    BOOKKEEPING,
-    COLUMNS,
-    FINISHED,
-    METADATA_TYPES,
-    REQUIRED_COLUMNS,
-    metadata_field,
-)
+from warp_rigid.sweep.columns import COLUMNS, FINISHED, METADATA_TYPES, REQUIRED_COLUMNS, metadata_field, unit_of
 from warp_rigid.sweep.design import MAX_RUNS, Run
+from warp_rigid.sweep.frames import arrow_table, dataset
 from warp_rigid.sweep.result_plots import plot
 from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries
-from warp_rigid.sweep.units import unit_of
-
-__all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
 
 WRITE_INTERVAL_RATIO = 10.0
 """Minimum time between two writes of the file, relative to the duration of a write."""
@@ -125,7 +116,7 @@ class SweepResult:
 
     def to_arrow(self) -> Any:
         """The rows as a pyarrow.Table, with units as the metadata `unit` of the fields."""
-        return frames.to_arrow(self)
+        return arrow_table(self)
 
     def to_pandas(self) -> Any:
         """The rows as a pandas.DataFrame, with `units` as attrs["units"].
@@ -133,7 +124,10 @@ class SweepResult:
         Raises:
             ModuleNotFoundError: pandas is not installed.
         """
-        return frames.to_pandas(self)
+        need("pandas")
+        frame = self.to_arrow().to_pandas()
+        frame.attrs["units"] = self.units
+        return frame
 
     def to_polars(self) -> Any:
         """The rows as a polars.DataFrame, which has no place for `units`.
@@ -141,7 +135,7 @@ class SweepResult:
         Raises:
             ModuleNotFoundError: polars is not installed.
         """
-        return frames.to_polars(self)
+        return need("polars").from_arrow(self.to_arrow())
 
     def to_xarray(self) -> Any:
         """The rows as an xarray.Dataset, with units as attrs["units"] of its variables.
@@ -152,7 +146,7 @@ class SweepResult:
         Raises:
             ModuleNotFoundError: xarray is not installed.
         """
-        return frames.to_xarray(self)
+        return dataset(self)
 
     def to_parquet(self, path: Any) -> None:
         """Write the rows to a Parquet file and the metadata to PATH.json."""
@@ -184,13 +178,15 @@ class SweepResult:
             path: output file, .png, .svg or .pdf; None writes none.
             x: the axis on the x axis; None uses the one with most distinct values.
             y: the metric; None uses the first numeric one.
-            kind: "line", "heatmap" or "scatter" (a scatter matrix); None chooses by the axes.
+            kind: "line" (one line per value of the other axes), "heatmap" (over x and one other numeric axis, one panel
+                per value of the remaining axes) or "scatter" (scatter matrix of all numeric axes and the metric). None
+                chooses by the axes.
 
         Raises:
             ValueError: The column or kind is unknown, or there is nothing to plot.
             ModuleNotFoundError: matplotlib is not installed.
         """
-        return plot(self, path, x=x, y=y, kind=kind)
+        return plot(self, path, x, y, kind)
 
 
 class ResultFile:

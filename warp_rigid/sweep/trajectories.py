@@ -8,12 +8,8 @@ column `run`. Each chunk holds one run, so that runs can be read separately and 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from warp_rigid.sweep.design import Run
-from warp_rigid.sweep.series import open_zarr
-
-__all__ = ["Trajectories"]
+from warp_rigid.sweep.series import array_of_runs, open_zarr
 
 AXES = {"position": "xyz", "orientation": "xyzw"}
 
@@ -50,17 +46,7 @@ class Trajectories:
             group.create_array("time", data=frames["time"], dimension_names=["frame"])
         for name, last in AXES.items():
             values = frames[name]
-            if name not in group:
-                group.create_array(
-                    name,
-                    shape=(self.runs, *values.shape[1:]),
-                    chunks=(1, *values.shape[1:]),
-                    dtype=values.dtype,
-                    fill_value=np.nan,
-                    dimension_names=["run", "frame", "body", last],
-                )
-            array: Any = group[name]
-            if array.shape[0] < self.runs:
-                array.resize((self.runs, *array.shape[1:]))
+            shape, dimensions = (self.runs, *values.shape[1:]), ["run", "frame", "body", last]
+            array = array_of_runs(group, name, shape, 1, values.dtype, dimensions)
             for run, rows in zip(runs, values, strict=True):
                 array[run.index] = rows

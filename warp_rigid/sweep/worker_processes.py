@@ -1,6 +1,10 @@
 """Sweeps on worker processes of this machine, each with one device, or with its share of the cores of a CPU."""
 
+import os
+import signal
 import tempfile
+import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
@@ -10,13 +14,14 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import shown
-from warp_rigid.sweep import worker
-from warp_rigid.sweep.batch_run import Batch, failed_batch
+from warp_rigid.engine.cores import shared_by
+from warp_rigid.engine.loading import OVERLAP, STEP, load_kernels
+from warp_rigid.engine.teams import WARP
+from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
+from warp_rigid.sweep.batch_size import free_memory, max_environments
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
 from warp_rigid.warp_start import start_warp
-
-__all__ = ["MAX_WORKERS", "WorkerProcesses"]
 
 WORKERS_WITHOUT_GPU = 2
 
@@ -27,6 +32,15 @@ PART_PERIOD = 0.25
 
 TRIES = 2
 """Number of processes that a batch may end before its runs count as failed."""
+
+PARENT_PERIOD = 1.0
+"""Time between looks of a worker whether the process that started it still exists [s]."""
+
+# The state of a worker.
+_number = 0
+_sharers = 1
+_job: Any = None
+_parts: Any = None
 
 
 class WorkerProcesses:
@@ -46,7 +60,7 @@ class WorkerProcesses:
         self._job: Job | None = None
         self._file = tempfile.NamedTemporaryFile()
         self._file.truncate(np.float64().nbytes * self.count)
-        self._parts = worker.open_parts(self._file.name, self.count)
+        self._parts = _open_parts(self._file.name, self.count)
         self._workers = [self._started(number) for number in range(self.count)]
 
     def __enter__(self) -> "WorkerProcesses":
@@ -69,7 +83,7 @@ class WorkerProcesses:
             ValueError: The job cannot be sent, or a process cannot begin.
         """
         self._job = replace(job, scenes={})
-        accepted = [some.submit(worker.accept, self._job) for some in self._workers]
+        accepted = [some.submit(_accept, self._job) for some in self._workers]
         try:
             return [future.result() for future in accepted][0]
         except Exception as error:
@@ -93,7 +107,7 @@ class WorkerProcesses:
 
         def submit(part: list[Run] | None, number: int, tries: int = 1) -> None:
             if part is not None:
-                running[self._workers[number].submit(worker.run, part)] = part, number, tries
+                running[self._workers[number].submit(_run, part)] = part, number, tries
 
         for number in range(self.count):
             submit(next(left, None), number)
@@ -116,11 +130,67 @@ class WorkerProcesses:
         from loky import ProcessPoolExecutor
 
         executor = ProcessPoolExecutor(1)
-        executor.submit(worker.begin, number, self.count, self._file.name)
+        executor.submit(_begin, number, self.count, self._file.name)
         return executor
 
     def _restart(self, number: int) -> None:
         """Replace a process that has ended."""
         self._workers[number].shutdown(kill_workers=True)
         self._workers[number] = self._started(number)
-        self._workers[number].submit(worker.accept, self._job)
+        self._workers[number].submit(_accept, self._job)
+
+
+def _begin(number: int, count: int, parts: str) -> None:
+    """Load the kernels that every batch needs, as worker `number` of `count`; `parts` is the file of _open_parts."""
+    global _number, _sharers, _parts
+    _number, _sharers, _parts = number, count, _open_parts(parts, count)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one ends it
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+    start_warp()
+    with shared_by(count):
+        load_kernels(wp.get_device(device_of(None, number)), [*STEP, *OVERLAP], [WARP])
+
+
+def _accept(job: Job) -> tuple[int, int]:
+    """Keep the job for the batches that follow.
+
+    Returns:
+        The largest useful batch, and the free memory of the device [bytes].
+    """
+    global _job
+    _job = replace(job, device=device_of(job.device, _number))
+    return capacity_of(_job.device, _sharers)
+
+
+def _run(part: list[Run]) -> Batch:
+    """Run a batch of the job."""
+    with shared_by(_sharers):
+        return run_batch(_job, part, _tell)
+
+
+def _open_parts(path: str, count: int) -> np.memmap:
+    """The file in which each worker tells which part of its batch is done, (count,) float64, as a number of runs."""
+    return np.memmap(path, np.float64, "r+", shape=(count,))
+
+
+def _tell(done: float) -> None:
+    _parts[_number] = done
+
+
+def capacity_of(device: Any, sharers: int) -> tuple[int, int]:
+    """The largest useful batch, and the free memory [bytes] of a device; `sharers` processes share the cores."""
+    with shared_by(sharers):
+        return max_environments(device), free_memory(device)
+
+
+def device_of(given: Any, number: int) -> Any:
+    """The device that was asked for, else one of the CUDA devices by the number of the worker, else the CPU."""
+    gpus = wp.get_cuda_device_count()
+    return given or (f"cuda:{number % gpus}" if gpus else "cpu")
+
+
+def _end_with_parent(parent: int) -> None:
+    """End this process when the one that started it is gone, also within a batch."""
+    while os.getppid() == parent:
+        time.sleep(PARENT_PERIOD)
+    os._exit(1)

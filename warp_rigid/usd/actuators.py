@@ -5,9 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from pxr import Usd
 
-__all__ = ["ACTUATOR", "Servo", "read_servos"]
+from warp_rigid.usd.prims import value_of
 
 ACTUATOR = "MjcActuator"
 """Type of the prims."""
@@ -54,7 +55,7 @@ def read_servos(root: Usd.Prim, leave_out: Report) -> dict[str, Servo]:
 
 def _obstacle(prim: Usd.Prim, targets: list[str], found: dict[str, Servo]) -> str:
     """Why an actuator does not become a drive; empty if it does."""
-    gain, bias, dynamics = (_token(prim, f"mjc:{name}Type") for name in ("gain", "bias", "dyn"))
+    gain, bias, dynamics = (str(value_of(prim, f"mjc:{name}Type", "")) for name in ("gain", "bias", "dyn"))
     target = prim.GetStage().GetPrimAtPath(targets[0]) if len(targets) == 1 else None
     if not target or target.GetTypeName() not in ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint"):
         return "it acts on no hinge or slider: not supported"
@@ -77,18 +78,12 @@ def _servo(prim: Usd.Prim) -> Servo:
     gear = _numbers(prim, "mjc:gear", 1, 1.0)[0]
     offset, position, velocity = _numbers(prim, "mjc:biasPrm", 3, 0.0)
     ends = [abs(_numbers(prim, f"mjc:forceRange:{end}", 1, 0.0)[0]) for end in ("min", "max")]
-    limited = _token(prim, "mjc:forceLimited") != "false" and max(ends) > 0.0
+    limited = str(value_of(prim, "mjc:forceLimited", "")) != "false" and max(ends) > 0.0
     largest = max(ends) * abs(gear) if limited else math.inf
     return Servo(gear * offset, -gear * gear * position, -gear * gear * velocity, largest)
 
 
-def _token(prim: Usd.Prim, name: str) -> str:
-    value = prim.GetAttribute(name).Get()
-    return "" if value is None else str(value)
-
-
 def _numbers(prim: Usd.Prim, name: str, count: int, default: float) -> list[float]:
     """The first numbers of an attribute; the default for those that it lacks."""
-    value = prim.GetAttribute(name).Get()
-    given = [] if value is None else [float(x) for x in value] if hasattr(value, "__len__") else [float(value)]
+    given = np.ravel(value_of(prim, name, ())).astype(np.float64).tolist()
     return (given + [default] * count)[:count]

@@ -17,9 +17,7 @@ from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.scene.scene import Motion
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
-
-__all__ = ["Instancers"]
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
 
 NAMES = Sdf.ValueTypeNames
 
@@ -102,7 +100,7 @@ class Instancers:
         indices = np.zeros(len(group.bodies), dtype=np.int32)
         set_attribute(prim, "protoIndices", NAMES.IntArray, Vt.IntArray.FromNumpy(indices))
         set_attribute(prim, "ids", NAMES.Int64Array, Vt.Int64Array.FromNumpy(group.bodies.astype(np.int64)))
-        values = {**_pose_values(group), "primvars:displayColor": Vt.Vec3fArray.FromNumpy(group.color)}
+        values = {**_pose_values(group), "primvars:displayColor": vec3f(group.color)}
         if self._velocities:
             values |= self._velocity_values(group, frame)
         gloss = body_gloss(len(self._film.motion), self._film.looks)[group.bodies]
@@ -133,7 +131,7 @@ class Instancers:
                 values |= _pose_values(group)
             if colors is not None and not np.array_equal(colors[group.bodies], group.color):
                 group.color = colors[group.bodies]
-                values["primvars:displayColor"] = Vt.Vec3fArray.FromNumpy(group.color)
+                values["primvars:displayColor"] = vec3f(group.color)
             if self._velocities:
                 values |= self._velocity_values(group, frame)
             samples.put([group.tracks[name] for name in values], time, values.values())
@@ -146,10 +144,9 @@ class Instancers:
         centers = np.array([_center(self._film, body) for body in bodies])
         arm = rotate(group.orientation, centers)
         speed = frame.linear_velocity[self._row, bodies] - np.cross(spin, arm)
-        degrees = np.ascontiguousarray(spin * np.float32(math.degrees(1.0)))
         return {
-            "velocities": Vt.Vec3fArray.FromNumpy(speed.astype(np.float32)),
-            "angularVelocities": Vt.Vec3fArray.FromNumpy(degrees),
+            "velocities": vec3f(speed),
+            "angularVelocities": vec3f(spin * np.float32(math.degrees(1.0))),
         }
 
 
@@ -189,9 +186,9 @@ def _pose_values(group: _Group) -> dict:
     """Positions, orientations and the bounding box of all instances."""
     reach = _bounding_box(group.position, group.orientation, group.corners)
     return {
-        "positions": Vt.Vec3fArray.FromNumpy(group.position),
+        "positions": vec3f(group.position),
         "orientationsf": Vt.QuatfArray.FromNumpy(group.orientation),
-        "extent": Vt.Vec3fArray.FromNumpy(reach),
+        "extent": vec3f(reach),
     }
 
 

@@ -16,8 +16,6 @@ from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.prims import custom_data
 from warp_rigid.usd.specs import SampleWriter, define, set_attribute
 
-__all__ = ["CameraWriter", "place_prim", "read_camera"]
-
 NAMES = Sdf.ValueTypeNames
 APERTURE = 20.955
 """Width of the film of a USD camera [mm]."""

@@ -8,8 +8,6 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
 from warp_rigid.usd.opening import convert_errors, open_stage
 
-__all__ = ["UsdProblem", "check_usd"]
-
 TOKENS = UsdPhysics.Tokens
 APPROXIMATIONS = {
     TOKENS.none, TOKENS.convexHull, TOKENS.convexDecomposition, TOKENS.boundingSphere, TOKENS.boundingCube,
@@ -44,8 +42,6 @@ def check_usd(path) -> list[UsdProblem]:
         ValueError: It is not a USD file.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
     stage = open_stage(path)
     with convert_errors(path):
         validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()

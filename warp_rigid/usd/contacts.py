@@ -5,9 +5,7 @@ from pxr import Sdf, Vt
 
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.scene import Motion
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute
-
-__all__ = ["ContactMarks"]
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, vec3f
 
 NAMES = Sdf.ValueTypeNames
 GRAVITY = 9.81
@@ -67,9 +65,9 @@ class ContactMarks:
         start = np.ascontiguousarray(records["position"], dtype=np.float32)
         ends = np.stack([start, start + np.float32(self._scale) * records["impulse"]], axis=1).reshape(-1, 3)
         return {
-            "points.points": Vt.Vec3fArray.FromNumpy(start),
+            "points.points": vec3f(start),
             "points.extent": _extent(start, 0.04 * self._size),
-            "lines.points": Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(ends)),
+            "lines.points": vec3f(ends),
             "lines.curveVertexCounts": Vt.IntArray.FromNumpy(np.full(len(start), 2, dtype=np.int32)),
             "lines.extent": _extent(ends, 0.015 * self._size),
         }
@@ -83,4 +81,4 @@ def _extent(points: np.ndarray, margin: float) -> Vt.Vec3fArray:
     if not len(points):
         points = np.zeros((1, 3), dtype=np.float32)
     box = np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])
-    return Vt.Vec3fArray.FromNumpy(box.astype(np.float32))
+    return vec3f(box)

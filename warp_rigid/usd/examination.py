@@ -24,8 +24,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Ar, Sdf, Tf
 
-__all__ = ["MAX_PRIMS", "examine", "reason_of", "serve"]
-
 MAX_PRIMS = 1_000_000
 """Maximum number of prims of a stage; composing that many takes about a minute."""
 MAX_LEVELS = 1000
@@ -243,7 +241,7 @@ class PrimCounter:
         """Size of one prim; yields the prims it is composed of and receives their sizes."""
         prims, levels, arcs = 1, 0, 0
         specs = [spec for layer in self._stacks[node[0]] if (spec := layer.GetPrimAtPath(node[1]))]
-        for child in _children(specs):
+        for child in dict.fromkeys(child.path for spec in specs for child in spec.nameChildren):
             below = yield node[0], child
             prims, levels, arcs = prims + below.prims, max(levels, below.levels + 1), max(arcs, below.arcs)
         for variants in _variants(specs):
@@ -312,11 +310,6 @@ class PrimCounter:
             if len(found) > MAX_LEVELS:
                 raise ValueError(f"{self._path}: must have at most {MAX_LEVELS} sublayers")
         return list(found.values())
-
-
-def _children(specs: list[Sdf.PrimSpec]) -> list[Sdf.Path]:
-    """Distinct paths of the children of a prim."""
-    return list(dict.fromkeys(child.path for spec in specs for child in spec.nameChildren))
 
 
 def _variants(specs: list[Sdf.PrimSpec]) -> list[list[Sdf.Path]]:

@@ -10,8 +10,6 @@ from warp_rigid.runs.recording import Recorder, Recording
 from warp_rigid.scene.camera import Camera
 from warp_rigid.usd.options import UsdOptions
 
-__all__ = ["UsdStream", "export_usd"]
-
 
 def export_usd(
     recording: Recording,

@@ -8,8 +8,6 @@ from pxr import Vt
 from warp_rigid.scene.fields import FIELDS, ForceField
 from warp_rigid.usd.prims import custom_array
 
-__all__ = ["fields_from_data", "fields_to_data"]
-
 
 def fields_to_data(fields: Sequence[ForceField]) -> dict[str, Any]:
     """Return the parameters of force fields as arrays by key, such as "pointFieldCenters"."""

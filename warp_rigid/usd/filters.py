@@ -7,8 +7,6 @@ from pxr import Usd, UsdPhysics
 
 from warp_rigid.scene.scene import Motion, Scene
 
-__all__ = ["filter_pairs", "linked"]
-
 Report = Callable[[str, str], None]
 
 

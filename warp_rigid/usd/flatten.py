@@ -10,8 +10,6 @@ from warp_rigid.usd.opening import convert_errors, open_stage
 from warp_rigid.usd.options import SUFFIXES
 from warp_rigid.usd.specs import export_layer
 
-__all__ = ["flatten_usd"]
-
 
 def flatten_usd(source, target) -> int:
     """Copy a file and replace each PointInstancer by one Xform per instance, including its motion.
@@ -32,8 +30,6 @@ def flatten_usd(source, target) -> int:
     source, target = Path(source), Path(target)
     if target.suffix not in SUFFIXES or target.suffix == ".usdz":
         raise ValueError(f"{target}: must end in .usd, .usda or .usdc")
-    if not source.is_file():
-        raise FileNotFoundError(f"{source}: no such file")
     stage = open_stage(source)
     check_unread([target], [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
     with convert_errors(source):

@@ -5,16 +5,6 @@ from pxr import Gf
 
 from warp_rigid.scene.shapes import Plane
 
-__all__ = [
-    "FOLLOWS_PATH",
-    "MARK",
-    "frame_of_plane",
-    "gf_quaternion",
-    "polar",
-    "precise_quaternions",
-    "quaternion_of_matrix",
-]
-
 MARK = "warp_rigid"
 """Key of the custom data for content without a USD schema."""
 

@@ -6,8 +6,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 from warp_rigid.usd.examination import MAX_PRIMS
 from warp_rigid.usd.geometry import MARK, polar
 
-__all__ = ["OF_ORIGIN", "expand_instancers"]
-
 VELOCITY, SPIN = f"{MARK}:velocity", f"{MARK}:angularVelocity"
 """Attributes of an instance: its velocities in the frame of the instancer [1/s, degrees/s]."""
 OF_ORIGIN = f"{MARK}:velocityOfOrigin"

@@ -19,21 +19,18 @@ from warp_rigid.scene.joints import (
     FixedJoint,
     Joint,
     JointEntry,
-    JointFrame,
     PrismaticJoint,
     RevoluteJoint,
     SphericalJoint,
 )
-from warp_rigid.scene.joints.placing import turn_to, world_frame
+from warp_rigid.scene.joints.placing import local_frame, turn_to, world_frame
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
-from warp_rigid.usd.geometry import MARK, gf_quaternion
+from warp_rigid.usd.geometry import MARK, gf_quaternion, quaternion_of_matrix
 from warp_rigid.usd.masses import states_no_mass
-from warp_rigid.usd.prims import custom_data
+from warp_rigid.usd.prims import custom_data, described
 from warp_rigid.usd.serial_joints import SHARE, insert_links
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
-
-__all__ = ["JOINT_KINDS", "JOINT_SCHEMAS", "JointReader", "write_joint"]
 
 Types = UsdPhysics.ObjectType
 NAMES = Sdf.ValueTypeNames
@@ -68,11 +65,7 @@ class JointReader:
 
     def read(self, objects: dict) -> None:
         """Add all joints, in the order of their paths."""
-        found = {
-            str(path): description
-            for kind in JOINT_KINDS
-            for path, description in zip(*objects.get(kind, ([], [])), strict=True)
-        }
+        found = dict(described(objects, JOINT_KINDS))
         self._find_parts(found)
         self._lighten(found)
         series: dict[tuple[str, str], list[tuple[Usd.Prim, Any]]] = {}
@@ -148,7 +141,7 @@ class JointReader:
         center = self._scene.bodies[body].shape.center_of_mass
         if description.type == Types.PrismaticJoint:
             return center
-        frame = self._local(body, *self._side(prim, "1", description.rel1)[1:])
+        frame = local_frame(self._scene.bodies[body], *self._side(prim, "1", description.rel1)[1:])
         anchor = np.array(frame.position)
         if description.type != Types.RevoluteJoint:
             return anchor
@@ -175,8 +168,8 @@ class JointReader:
             self._joint(prim, description),
             body_a,
             body_b,
-            frame_a=self._local(body_a, *frames[0]),
-            frame_b=self._local(body_b, *frames[1]),
+            frame_a=local_frame(self._scene.bodies[body_a], *frames[0]),
+            frame_b=local_frame(None if body_b is None else self._scene.bodies[body_b], *frames[1]),
             name=prim.GetDisplayName() or prim.GetName(),
             break_force=_limit(description.breakForce * force),
             break_torque=_limit(description.breakTorque * force * self._meter),
@@ -220,9 +213,8 @@ class JointReader:
         local = np.array(prim.GetAttribute(f"physics:localPos{end}").Get() or (0, 0, 0), dtype=np.float64)
         given = prim.GetAttribute(f"physics:localRot{end}").Get() or Gf.Quatf(1.0)
         turn = np.array([*given.GetImaginary(), given.GetReal()], dtype=np.float64)
-        own = Gf.Matrix3d(*rotation.T.ravel().tolist()).ExtractRotation().GetQuat()
-        base = np.array([*own.GetImaginary(), own.GetReal()])
-        return body, position + rotation @ (stretch @ local), rotations.multiply(base, turn / np.linalg.norm(turn))
+        turn = rotations.multiply(quaternion_of_matrix(rotation), turn / np.linalg.norm(turn))
+        return body, position + rotation @ (stretch @ local), turn
 
     def _body(self, prim: Usd.Prim | None) -> int | None:
         """Index of the body to which a prim belongs; None if it belongs to none."""
@@ -240,19 +232,12 @@ class JointReader:
             prim = prim.GetParent()
         return None
 
-    def _local(self, body: int | None, point: np.ndarray, turn: np.ndarray) -> JointFrame:
-        """A frame of the world in the frame of a body."""
-        if body is not None:
-            own = np.array(self._scene.bodies[body].orientation)
-            point = rotations.rotate(rotations.inverse(own), point - self._scene.bodies[body].position)
-            turn = rotations.multiply(rotations.inverse(own), turn)
-        x, y, z, w = turn.tolist()
-        return JointFrame((float(point[0]), float(point[1]), float(point[2])), (x, y, z, w))
-
     def _joint(self, prim: Usd.Prim, description: Any) -> Joint:
         """The joint with its limits."""
         kind = description.type
-        friction = float(custom_data(prim).get("friction", 0.0)) or self._friction(prim, kind)
+        friction = (
+            float(custom_data(prim).get("friction", 0.0)) or _authored(prim, "newton:friction") * self._units(kind)[0]
+        )
         start = self._mujoco_coordinate(prim, kind, "ref")
         if kind == Types.RevoluteJoint:
             return RevoluteJoint(AXES["X"], _range(description.limit, math.pi / 180.0, start), friction)
@@ -279,10 +264,6 @@ class JointReader:
         if value > 0.0:
             self._leave_out(prim.GetPath(), "newton:armature: supported for hinges and sliders only")
         return 0.0
-
-    def _friction(self, prim: Usd.Prim, kind: Any) -> float:
-        """Friction of a joint by Newton's schema [N or N m]."""
-        return _authored(prim, "newton:friction") * self._units(kind)[0]
 
     def _units(self, kind: Any) -> tuple[float, float]:
         """Units of force or torque, and of the coordinate, of a joint in the file."""

@@ -17,10 +17,8 @@ from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
 from warp_rigid.usd.materials import write_material
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
 from warp_rigid.usd.stage_look import define_surface
-
-__all__ = ["Library", "simple_shapes", "write_pose"]
 
 PLANE_WIDTH = 20.0
 """Drawn width of an infinite plane [m]."""
@@ -61,7 +59,7 @@ class Library:
         for surface, tracks in self._moving.values():
             points = surface.vertices_at(time)
             normals = corner_normals(points, surface.faces).reshape(-1, 3)
-            values = [Vt.Vec3fArray.FromNumpy(points), Vt.Vec3fArray.FromNumpy(normals), _extent(points)]
+            values = [vec3f(points), vec3f(normals), _extent(points)]
             self._samples.put(tracks, frame, values)
 
     def _write(self, prim: Sdf.PrimSpec, surface: DrawnSurface) -> None:
@@ -135,11 +133,11 @@ def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> N
     points = np.ascontiguousarray(vertices, dtype=np.float32)
     corners = np.ascontiguousarray(faces, dtype=np.int32)
     normals = corner_normals(points, corners).reshape(-1, 3)
-    set_attribute(prim, "points", names.Point3fArray, Vt.Vec3fArray.FromNumpy(points))
+    set_attribute(prim, "points", names.Point3fArray, vec3f(points))
     counts = np.full(len(corners), 3, dtype=np.int32)
     set_attribute(prim, "faceVertexCounts", names.IntArray, Vt.IntArray.FromNumpy(counts))
     set_attribute(prim, "faceVertexIndices", names.IntArray, Vt.IntArray.FromNumpy(corners.reshape(-1)))
-    set_attribute(prim, "normals", names.Normal3fArray, Vt.Vec3fArray.FromNumpy(normals), interpolation="faceVarying")
+    set_attribute(prim, "normals", names.Normal3fArray, vec3f(normals), interpolation="faceVarying")
     st = _texture_coordinates(points, corners, normals)
     set_attribute(prim, "primvars:st", names.TexCoord2fArray, st, interpolation="faceVarying")
     set_attribute(prim, "subdivisionScheme", names.Token, "none", uniform=True)
@@ -165,7 +163,7 @@ def _texture_coordinates(points: np.ndarray, corners: np.ndarray, normals: np.nd
 
 
 def _extent(points: np.ndarray) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(bound_corners(points)[[0, -1]], dtype=np.float32))
+    return vec3f(bound_corners(points)[[0, -1]])
 
 
 def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
@@ -255,8 +253,7 @@ def _(shape: Heightfield, prim: Sdf.PrimSpec, time: float) -> None:
 def _begin_primitive(prim: Sdf.PrimSpec, type_name: str, upper: np.ndarray) -> None:
     """Set the type of a prim, and its extent from the upper corner of its bounds, before its scale."""
     prim.typeName = type_name
-    extent = Vt.Vec3fArray.FromNumpy(np.stack([-upper, upper]).astype(np.float32))
-    set_attribute(prim, "extent", Sdf.ValueTypeNames.Float3Array, extent)
+    set_attribute(prim, "extent", Sdf.ValueTypeNames.Float3Array, vec3f([-upper, upper]))
 
 
 def _write_triangles(prim: Sdf.PrimSpec, shape: Shape, *apis: str) -> None:

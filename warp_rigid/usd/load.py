@@ -1,13 +1,10 @@
 """USD import of files with UsdPhysics."""
 
-import warnings
 from os import PathLike
 from pathlib import Path
 
 from warp_rigid.scene.import_report import ImportReport
 from warp_rigid.scene.scene import Scene
-
-__all__ = ["film_duration", "import_usd"]
 
 
 def import_usd(
@@ -35,8 +32,6 @@ def import_usd(
         ValueError: It is not a USD file, has no bodies, or `strict` is set and the import is incomplete.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
 
     from warp_rigid.usd.opening import convert_errors
     from warp_rigid.usd.reader import Reader
@@ -47,13 +42,7 @@ def import_usd(
     scene.import_report = ImportReport(
         str(path), tuple(reader.findings), root, reader.prims, reader.files, reader.cameras
     )
-    lost = len(scene.import_report.left_out)
-    if strict and reader.findings:
-        more = f" (and {len(reader.findings) - 1} more)" if len(reader.findings) > 1 else ""
-        raise ValueError(f"{path}: {reader.findings[0]}{more}")
-    if lost:
-        first = scene.import_report.left_out[0]
-        warnings.warn(f"{path}: {lost} left out, see scene.import_report; first: {first}", stacklevel=2)
+    scene.import_report.tell(strict, stacklevel=2)
     return scene
 
 
@@ -64,14 +53,10 @@ def film_duration(path) -> float:
         FileNotFoundError: The file does not exist.
         ValueError: It is not a USD file, or its range of time codes is not that of a film.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-
     from warp_rigid.usd.metadata import time_codes
     from warp_rigid.usd.opening import convert_errors, open_stage
 
-    stage = open_stage(path)
+    stage = open_stage(Path(path))
     with convert_errors(path):
         codes = time_codes(stage)
         return (codes.last - codes.first) / codes.rate

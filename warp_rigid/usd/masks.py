@@ -7,8 +7,6 @@ from pxr import Usd, UsdPhysics
 from warp_rigid.usd.masses import is_of_mujoco
 from warp_rigid.usd.opening import open_stage
 
-__all__ = ["LIST_MASKS", "add_masks"]
-
 LIST_MASKS = """
 import json, sys
 import mujoco

@@ -16,8 +16,6 @@ from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, ste
 from warp_rigid.usd.geometry import polar
 from warp_rigid.usd.prims import Unreadable
 
-__all__ = ["Collider", "MassReader", "is_of_mujoco", "positive", "scale_to_total", "states_no_mass"]
-
 DEFAULT_DENSITY = 1000.0
 """Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
 TOLERANCE = 1e-3

@@ -8,8 +8,6 @@ from pxr import Sdf, Usd
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.usd.specs import define, set_attribute
 
-__all__ = ["read_material", "write_material"]
-
 SCHEMAS = {"physics": "PhysicsMaterialAPI", "newton": "NewtonMaterialAPI"}
 """Applied schemas by the namespace of their attributes."""
 

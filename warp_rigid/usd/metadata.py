@@ -7,18 +7,6 @@ from pxr import Usd, UsdGeom, UsdPhysics
 
 from warp_rigid.checks import number_in, one_of
 
-__all__ = [
-    "FROM_Y_UP",
-    "MAX_FRAMES",
-    "TimeCodes",
-    "animation_codes",
-    "first_time",
-    "is_y_up",
-    "kilograms_per_unit",
-    "meters_per_unit",
-    "time_codes",
-]
-
 FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 """Rotation from a stage with y up to the scene, `matrix @ vector`."""
 

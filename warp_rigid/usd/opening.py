@@ -17,8 +17,6 @@ from warp_rigid.checks import number_in
 from warp_rigid.usd import examination
 from warp_rigid.usd.examination import reason_of
 
-__all__ = ["convert_errors", "open_stage", "start_examiner"]
-
 LIMITS = {"seconds": ("WARP_RIGID_USD_SECONDS", 2.0, 1.0), "bytes": ("WARP_RIGID_USD_GIGABYTES", 1.5, 2.0**30)}
 """Limits of the examination: environment variable, default, and unit. They grow with the size of the files."""
 
@@ -30,9 +28,12 @@ def open_stage(path: Path) -> Usd.Stage:
     """Open a file.
 
     Raises:
+        FileNotFoundError: It does not exist.
         ValueError: It is not a USD file, it is too large or nested too deeply to be composed, or its examination
             exceeded the limits.
     """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
     refusal = _EXAMINER.refusal(path)
     if refusal:
         raise ValueError(refusal)
@@ -51,11 +52,6 @@ def convert_errors(path: Any) -> Iterator[None]:
         raise ValueError(f"{path}: cannot be read: {reason_of(error)}") from error
     except ValueError as error:
         raise error if str(path) in str(error) else ValueError(f"{path}: {error}") from error
-
-
-def start_examiner() -> None:
-    """Start the child process now, not with the first file."""
-    _EXAMINER.start()
 
 
 class _Examiner:

@@ -7,8 +7,6 @@ from warp_rigid.checks import one_of
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs.recording import Recording
 
-__all__ = ["LAYOUTS", "MAX_SCENE_BODIES", "PROFILES", "SUFFIXES", "UsdOptions"]
-
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 PROFILES = ("auto", "animation", "scene")
 LAYOUTS = ("single", "payloads", "clips", "override")
@@ -18,17 +16,7 @@ MAX_SCENE_BODIES = 2000
 
 @dataclass(frozen=True)
 class UsdOptions:
-    """Options of the USD export.
-
-    Attributes:
-        profile: "animation" (one PointInstancer per shape, no physics), "scene" (one prim per body, with UsdPhysics)
-            or "auto": a scene for up to MAX_SCENE_BODIES bodies.
-        color: colouring of the bodies, one of COLORINGS.
-        layout: "single" (one file), "payloads" (one file per environment, loaded on demand by viewers) or "clips" (one
-            file per time interval, so that neither writer nor reader holds the whole animation in memory) or "override"
-            (a layer over the imported stage, in which its own prims are animated).
-        contacts: whether to write contact points and impulses.
-        velocities: whether to write instance velocities, for motion blur.
+    """Options of the USD export; see export_usd. "auto" is a scene for up to MAX_SCENE_BODIES bodies.
 
     Raises:
         ValueError: A value is unknown, or two values are incompatible.

@@ -13,8 +13,6 @@ from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import matrix_of
 from warp_rigid.usd.specs import define, export_layer, set_attribute
 
-__all__ = ["write_override"]
-
 OPERATION = "xformOp:transform:warp_rigid"
 RESET = "!resetXformStack!"
 """Token by which a prim ignores the transforms above it: the samples are poses in the world of the stage."""

@@ -9,8 +9,6 @@ from warp_rigid.render.appearance import linear_light
 from warp_rigid.scene.look import Look
 from warp_rigid.usd.prims import custom_data
 
-__all__ = ["read_look"]
-
 PREVIEW = "UsdPreviewSurface"
 DIFFUSE = (0.18, 0.18, 0.18)
 NUMBERS = {"roughness": 0.5, "metallic": 0.0}

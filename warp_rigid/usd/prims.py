@@ -1,5 +1,8 @@
 """Conversion of geometric prims to shapes."""
 
+from collections.abc import Iterable, Iterator
+from typing import Any
+
 import numpy as np
 from pxr import Usd, UsdGeom
 
@@ -19,8 +22,6 @@ from warp_rigid.scene.shapes import (
 )
 from warp_rigid.usd.geometry import MARK, quaternion_of_matrix
 
-__all__ = ["Unreadable", "custom_data", "matrix_of", "convert_prim", "custom_array", "triangles_of"]
-
 SCALE_TOLERANCE = 1e-5
 """Relative tolerance within which scales count as uniform."""
 CONE_SECTIONS = 64
@@ -30,10 +31,24 @@ class Unreadable(ValueError):
     """A prim cannot be converted to a shape."""
 
 
+def described(objects: dict, kinds: Iterable[Any]) -> Iterator[tuple[str, Any]]:
+    """Paths and descriptions of the objects of some kinds, from the parser of UsdPhysics."""
+    for kind in kinds:
+        for path, description in zip(*objects.get(kind, ([], [])), strict=True):
+            yield str(path), description
+
+
 def custom_data(prim: Usd.Prim) -> dict:
     """Custom data that this package writes for content without a USD schema."""
     found = prim.GetCustomDataByKey(MARK)
     return found if isinstance(found, dict) else {}
+
+
+def value_of(prim: Usd.Prim, name: str, otherwise: Any) -> Any:
+    """The value of an attribute; a default where the file has none and the schema is not installed."""
+    attribute = prim.GetAttribute(name)
+    value = attribute.Get() if attribute else None
+    return otherwise if value is None else value
 
 
 def custom_array(custom: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -119,15 +134,10 @@ def triangles_of(prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
         vertices = np.concatenate([corners, np.zeros((4, 1))], axis=1)
         faces = tessellation.triangulate_quads(np.array([[0, 1, 2, 3]]))
     else:
-        vertices, faces = _scaled_or_raise(prim).surface()
+        shape = _scaled(prim, np.ones(3))
+        assert shape is not None
+        vertices, faces = shape.surface()
     return vertices @ turn.T, faces
-
-
-def _scaled_or_raise(prim: Usd.Prim) -> Shape:
-    shape = _scaled(prim, np.ones(3))
-    if shape is None:
-        raise Unreadable(f"a {prim.GetTypeName() or 'prim without type'} is not a supported shape")
-    return shape
 
 
 def _turn_to_z(prim: Usd.Prim) -> np.ndarray:

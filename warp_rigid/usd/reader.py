@@ -1,6 +1,5 @@
 """Reader of stages with UsdPhysics."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -27,10 +26,8 @@ from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.preview_surface import read_look
-from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
+from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, described, matrix_of
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
-
-__all__ = ["Reader"]
 
 EARTH_GRAVITY = 9.81
 SCALE_TOLERANCE = 1e-3
@@ -118,7 +115,6 @@ class Reader:
         self._start = first_time(self.stage)
         expand_instancers(self._root, [self._start])
         self._transforms = UsdGeom.XformCache(self._start)
-        self._names: set[str] = set()
         self.meter = meters_per_unit(self.stage)
         self.kilogram = kilograms_per_unit(self.stage)
         self._to_z_up = FROM_Y_UP if is_y_up(self.stage) else np.eye(3)
@@ -141,10 +137,10 @@ class Reader:
         for body in bodies:
             self._add(scene, body)
         scale_to_total(self.stage, scene)
-        descriptions = dict(_described(objects, COLLIDERS))
-        members = {path: {path} for path, body in _described(objects, {Types.RigidBody}) if body.rigidBodyEnabled}
-        joints = {path: {str(joint.body0), str(joint.body1)} for path, joint in _described(objects, JOINT_KINDS)}
-        for path, articulation in _described(objects, {Types.Articulation}):
+        descriptions = dict(described(objects, COLLIDERS))
+        members = {path: {path} for path, body in described(objects, {Types.RigidBody}) if body.rigidBodyEnabled}
+        joints = {path: {str(joint.body0), str(joint.body1)} for path, joint in described(objects, JOINT_KINDS)}
+        for path, articulation in described(objects, {Types.Articulation}):
             # The parser names the bodies only if the root is above them, not if it is one of them, or a joint.
             named = {str(body) for body in articulation.articulatedBodies} or joints.get(path, {path})
             members[path] = linked(named & members.keys(), joints.values())
@@ -188,7 +184,7 @@ class Reader:
         for kind, (paths, _) in objects.items():
             if kind not in SUPPORTED:
                 for path in paths:
-                    self.leave_out(path, f"{_kind_name(kind)} is not supported: bodies move freely")
+                    self.leave_out(path, f"{str(kind).rpartition('.')[2]} is not supported: bodies move freely")
         for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
             unsupported = [
                 schema
@@ -210,13 +206,13 @@ class Reader:
 
     def _empty_scene(self, objects: dict) -> Scene:
         """Create a scene with gravity, combine modes and force fields."""
-        paths, descriptions = objects.get(Types.Scene, ([], []))
         found = {}
-        for path, description in zip(paths, descriptions, strict=True):
+        for path, description in described(objects, {Types.Scene}):
             strength = description.gravityMagnitude * self.meter
-            found[str(path)] = tuple(self._to_z_up @ np.array(description.gravityDirection) * strength)
+            found[path] = tuple(self._to_z_up @ np.array(description.gravityDirection) * strength)
         if len({tuple(np.round(gravity, 6)) for gravity in found.values()}) > 1:
-            raise ValueError(f"{self.path}: has several gravities; set root to one of {self._environments(found)}")
+            roots = ", ".join(str(Sdf.Path(path).GetParentPath()) for path in found)
+            raise ValueError(f"{self.path}: has several gravities; set root to one of {roots}")
         custom = custom_data(self.stage.GetPrimAtPath(next(iter(found)))) if found else {}
         scene = Scene(
             gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
@@ -229,20 +225,16 @@ class Reader:
 
     def _is_of_mujoco(self, objects: dict) -> bool:
         """Whether colliders come from a file of MuJoCo, which takes the larger friction of two bodies."""
-        return any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in _described(objects, COLLIDERS))
-
-    @staticmethod
-    def _environments(scenes: dict) -> str:
-        return ", ".join(str(Sdf.Path(path).GetParentPath()) for path in scenes)
+        return any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in described(objects, COLLIDERS))
 
     def _bodies(self, objects: dict) -> list[_Body]:
         """Bodies in file order, each with its enabled colliders."""
         bodies: dict[str, _Body] = {}
-        for path, description in _described(objects, {Types.RigidBody}):
+        for path, description in described(objects, {Types.RigidBody}):
             if description.rigidBodyEnabled:
                 motion = Motion.KINEMATIC if description.kinematicBody else Motion.DYNAMIC
                 bodies[path] = _Body(self.stage.GetPrimAtPath(path), motion)
-        for path, description in _described(objects, COLLIDERS):
+        for path, description in described(objects, COLLIDERS):
             if not description.collisionEnabled:
                 continue
             prim = self.stage.GetPrimAtPath(path)
@@ -314,7 +306,7 @@ class Reader:
                     mass=mass,
                     position=position,
                     orientation=quaternion_of_matrix(rotation),
-                    name=body.prim.GetDisplayName() or self._unique_name(body.prim.GetName()),
+                    name=body.prim.GetDisplayName() or body.prim.GetName(),
                     **self._velocities(body.prim, rotation, shape.center_of_mass),
                 )
                 self._keep_index(body, index)
@@ -331,7 +323,7 @@ class Reader:
         common: dict[str, Any] = {
             "position": position + rotation @ where,
             "orientation": quaternion_of_matrix(rotation @ rotations.matrix(turn)),
-            "name": body.prim.GetDisplayName() or self._unique_name(body.prim.GetName()),
+            "name": body.prim.GetDisplayName() or body.prim.GetName(),
             **self._coefficients(body, group),
         }
         try:
@@ -366,14 +358,6 @@ class Reader:
         self.owners.setdefault(path, index)
         if body.motion != Motion.STATIC and not body.prim.IsInstanceProxy():
             self.prims.setdefault(path, index)
-
-    def _unique_name(self, name: str) -> str:
-        """The name, with a number if an earlier body has it."""
-        found, number = name, 1
-        while found in self._names:
-            found, number = f"{name}_{number}", number + 1
-        self._names.add(found)
-        return found
 
     def _frame(self, prim: Usd.Prim, transforms: UsdGeom.XformCache) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Polar decomposition of the transform of a body: position [m], rotation (3, 3) and stretch (3, 3).
@@ -462,13 +446,6 @@ class Reader:
         return PosePath(times, [position for position, _, _ in frames], orientations)
 
 
-def _described(objects: dict, kinds: Any) -> Iterator[tuple[str, Any]]:
-    """Paths and descriptions of the objects of some kinds."""
-    for kind in kinds:
-        for path, description in zip(*objects.get(kind, ([], [])), strict=True):
-            yield str(path), description
-
-
 def _is_animated(prim: Usd.Prim) -> bool:
     """Whether the transform of a prim, or of one above it, changes with time."""
     while prim and not prim.IsPseudoRoot():
@@ -499,7 +476,3 @@ def _losses(prim: Usd.Prim, schemas: list[str]) -> list[str]:
     if lost:
         told.append(f"{', '.join(lost)}: not supported")
     return told
-
-
-def _kind_name(kind: Any) -> str:
-    return str(kind).rpartition(".")[2]

@@ -11,17 +11,15 @@ from warp_rigid.render.appearance import frame_colors
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, unique_name
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import CONSTANT_COLORINGS
 from warp_rigid.usd.field_data import fields_to_data
 from warp_rigid.usd.geometry import FOLLOWS_PATH, MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.joint_prims import write_joint
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, write_surface_motion
-
-__all__ = ["Bodies"]
 
 NAMES = Sdf.ValueTypeNames
 PHYSICS_SCENE = "PhysicsScene"
@@ -63,16 +61,17 @@ class Bodies:
         self._colors = frame_colors(self._color, self._film, self._row, frame)
         # USD velocities are in the body frame, angular ones in degrees.
         back = inverse(self._orientation)
-        self._velocity = _vectors(rotate(back, start["linear_velocity"][self._row]))
-        self._spin = _vectors(np.degrees(rotate(back, start["angular_velocity"][self._row])))
-        taken, paths = {PHYSICS_SCENE, "contacts", "impulses"}, []
+        self._velocity = vec3f(rotate(back, start["linear_velocity"][self._row]))
+        self._spin = vec3f(np.degrees(rotate(back, start["angular_velocity"][self._row])))
+        taken, paths = dict.fromkeys((PHYSICS_SCENE, "contacts", "impulses"), 1), []
         for index, body in enumerate(scene.bodies):
-            name = _unique_name(body.name, taken)
+            name = unique_name(Tf.MakeValidIdentifier(body.name), taken)
             prim = self._define_body(samples, f"{root}/{name}", index, body)
             if name != body.name:
                 prim.SetInfo("displayName", body.name)
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
-            path = library.collider(body.shape, self._coefficients(index))
+            coefficients = {name: float(start[name][self._row, index]) for name in COEFFICIENTS}
+            path = library.collider(body.shape, coefficients)
             if self._color in CONSTANT_COLORINGS:
                 path = library.painted(path, self._colors[index], self._film.looks.get(index))
             library.add_reference(geometry, path)
@@ -81,7 +80,7 @@ class Bodies:
         self._paths = paths
         self._write_filtered_pairs(samples.layer, paths)
         for entry in scene.joints:
-            name = _unique_name(entry.name, taken)
+            name = unique_name(Tf.MakeValidIdentifier(entry.name), taken)
             write_joint(samples.layer, f"{root}/{name}", entry, paths)
             if name != entry.name:
                 samples.layer.GetPrimAtPath(f"{root}/{name}").SetInfo("displayName", entry.name)
@@ -108,9 +107,6 @@ class Bodies:
             prim.SetInfo("apiSchemas", applied)
             set_relationship(prim, "physics:filteredPairs", *targets)
 
-    def _coefficients(self, index: int) -> dict[str, float]:
-        return {name: float(self._film.start[name][self._row, index]) for name in COEFFICIENTS}
-
     def _define_body(self, samples: SampleWriter, path: str, index: int, body: Body) -> Sdf.PrimSpec:
         """Define a body without its geometry."""
         start, row = self._film.start, self._row
@@ -123,7 +119,7 @@ class Bodies:
         prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower(), **follows}})
         place, turn = write_pose(prim, self._position[index], self._orientation[index])
         hue = set_attribute(
-            prim, "primvars:displayColor", NAMES.Color3fArray, _color(self._colors[index]), interpolation="constant"
+            prim, "primvars:displayColor", NAMES.Color3fArray, vec3f([self._colors[index]]), interpolation="constant"
         )
         for tracks, attribute in (
             (self._translate_tracks, place),
@@ -176,7 +172,7 @@ class Bodies:
         colors = frame_colors(self._color, self._film, self._row, frame)
         changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()
         samples.put(
-            [self._color_tracks[index] for index in changed], time, [_color(colors[index]) for index in changed]
+            [self._color_tracks[index] for index in changed], time, [vec3f([colors[index]]) for index in changed]
         )
         self._colors = colors
 
@@ -186,7 +182,7 @@ def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray)
     prim = define(layer, path, "PhysicsScene")
     strength = math.hypot(*(float(x) for x in gravity))
     direction = np.asarray(gravity, dtype=np.float64) / strength if strength > 0.0 else np.array([0.0, 0.0, -1.0])
-    set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, _vector(direction))
+    set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, vec3f([direction])[0])
     set_attribute(prim, "physics:gravityMagnitude", NAMES.Float, strength)
     rules = {"frictionCombine": scene.friction_combine, "restitutionCombine": scene.restitution_combine}
     prim.SetInfo("customData", {MARK: rules | fields_to_data(scene.force_fields)})
@@ -197,7 +193,7 @@ def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:
     center, moments, axes = _principal(body.shape)
     set_attribute(prim, "physics:mass", NAMES.Float, mass)
     set_attribute(prim, "physics:centerOfMass", NAMES.Point3f, center)
-    set_attribute(prim, "physics:diagonalInertia", NAMES.Float3, _vector(mass * moments))
+    set_attribute(prim, "physics:diagonalInertia", NAMES.Float3, vec3f([mass * moments])[0])
     set_attribute(prim, "physics:principalAxes", NAMES.Quatf, axes)
 
 
@@ -207,26 +203,4 @@ def _principal(shape: Shape) -> tuple[Any, np.ndarray, Any]:
     moments, axes = np.linalg.eigh(np.asarray(shape.inertia) / shape.volume)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
-    return _vector(shape.center_of_mass), moments, gf_quaternion(quaternion_of_matrix(axes))
-
-
-def _unique_name(name: str, taken: set[str]) -> str:
-    """An unused prim name."""
-    base = Tf.MakeValidIdentifier(name)
-    found, number = base, 1
-    while found in taken:
-        found, number = f"{base}_{number}", number + 1
-    taken.add(found)
-    return found
-
-
-def _vector(value: np.ndarray) -> Any:
-    return _vectors(np.asarray(value).reshape(1, 3))[0]
-
-
-def _vectors(values: np.ndarray) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
-
-
-def _color(value: np.ndarray) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray.FromNumpy(np.asarray(value, dtype=np.float32).reshape(1, 3))
+    return vec3f([shape.center_of_mass])[0], moments, gf_quaternion(quaternion_of_matrix(axes))

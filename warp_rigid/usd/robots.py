@@ -22,8 +22,6 @@ from warp_rigid.usd import limited
 from warp_rigid.usd.load import import_usd
 from warp_rigid.usd.robot_features import name_left_out
 
-__all__ = ["ROBOT_SUFFIXES", "import_robot"]
-
 CONVERTERS = {".xml": "mujoco_usd_converter", ".mjcf": "mujoco_usd_converter", ".urdf": "urdf_usd_converter"}
 """Programs by the suffix of the file."""
 ROBOT_SUFFIXES = tuple(CONVERTERS)
@@ -91,11 +89,7 @@ def import_robot(
     named = name_left_out(path, report.findings)
     report = replace(report, file=str(path), findings=(*findings, *named, *report.findings), files=(str(path),))
     scene.import_report = report
-    if strict and report.findings:
-        raise ValueError(f"{path}: {report.findings[0]} (and {len(report.findings) - 1} more)")
-    if report.left_out:
-        text = f"{len(report.left_out)} left out, see scene.import_report; first: {report.left_out[0]}"
-        warnings.warn(f"{path}: {text}", stacklevel=2)
+    report.tell(strict, stacklevel=2)
     for finding in named:
         warnings.warn(f"{path}: not simulated: {finding.reason}", stacklevel=2)
     return scene

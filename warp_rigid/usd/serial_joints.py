@@ -16,8 +16,6 @@ from warp_rigid.scene.shapes import Compound
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import steiner
 
-__all__ = ["SHARE", "insert_links"]
-
 SHARE = 1e-3
 """Share of a body's mass and moments of inertia that each body between two of its joints takes."""
 

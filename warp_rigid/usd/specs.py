@@ -7,22 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Tf
+import numpy as np
+from pxr import Sdf, Tf, Vt
 
 from warp_rigid.files.atomic import atomic_file
-
-__all__ = [
-    "SampleWriter",
-    "Track",
-    "define",
-    "export_layer",
-    "open_layer",
-    "reload_layer",
-    "set_relationship",
-    "save_layer",
-    "set_attribute",
-    "stage_metadata",
-]
 
 
 def open_layer(path: Path) -> Sdf.Layer:
@@ -129,6 +117,11 @@ def set_attribute(
     if interpolation:
         attribute.SetInfo("interpolation", interpolation)
     return attribute
+
+
+def vec3f(values: Any) -> Vt.Vec3fArray:
+    """Vectors (n, 3) as an array of USD in single precision."""
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
 
 
 def set_relationship(prim: Sdf.PrimSpec, name: str, *targets: Any) -> None:

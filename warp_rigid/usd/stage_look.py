@@ -12,8 +12,6 @@ from warp_rigid.usd.cameras import place_prim
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 
-__all__ = ["define_look", "define_surface"]
-
 NAMES = Sdf.ValueTypeNames
 LOOKS = "Looks"
 MATT = 0.6

@@ -5,9 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Gf, Sdf, Usd
 
+from warp_rigid.usd.prims import value_of
 from warp_rigid.usd.specs import set_attribute
-
-__all__ = ["SURFACE_SCHEMA", "SurfaceMotion", "has_surface_motion", "read_surface_motion", "write_surface_motion"]
 
 SURFACE_SCHEMA = "PhysxSurfaceVelocityAPI"
 PREFIX = "physxSurfaceVelocity:"
@@ -49,11 +48,11 @@ def read_surface_motion(
         to_z_up: (3, 3) from the world of the file to that of the scene.
         meter: length unit of the file [m].
     """
-    if not has_surface_motion(prim) or not _value(prim, ENABLED, True):
+    if not has_surface_motion(prim) or not value_of(prim, ENABLED, True):
         return SurfaceMotion(np.zeros(3), np.zeros(3))
-    linear = np.array(_value(prim, LINEAR, (0.0, 0.0, 0.0)), np.float64)
-    angular = np.radians(np.array(_value(prim, ANGULAR, (0.0, 0.0, 0.0)), np.float64))
-    if _value(prim, LOCAL, True):
+    linear = np.array(value_of(prim, LINEAR, (0.0, 0.0, 0.0)), np.float64)
+    angular = np.radians(np.array(value_of(prim, ANGULAR, (0.0, 0.0, 0.0)), np.float64))
+    if value_of(prim, LOCAL, True):
         return SurfaceMotion(stretch @ linear, angular)
     return SurfaceMotion(rotation.T @ to_z_up @ (meter * linear), rotation.T @ to_z_up @ angular)
 
@@ -64,10 +63,3 @@ def write_surface_motion(prim: Sdf.PrimSpec, linear: np.ndarray, angular: np.nda
     set_attribute(prim, LOCAL, Sdf.ValueTypeNames.Bool, True)
     set_attribute(prim, LINEAR, Sdf.ValueTypeNames.Vector3f, Gf.Vec3f(*map(float, linear)))
     set_attribute(prim, ANGULAR, Sdf.ValueTypeNames.Vector3f, Gf.Vec3f(*map(float, np.degrees(angular))))
-
-
-def _value(prim: Usd.Prim, name: str, otherwise: Any) -> Any:
-    """The value of an attribute; a default where the file has none and the schema is not installed."""
-    attribute = prim.GetAttribute(name)
-    value = attribute.Get() if attribute else None
-    return otherwise if value is None else value

@@ -30,8 +30,6 @@ from warp_rigid.usd.specs import (
 )
 from warp_rigid.usd.stage_look import define_look
 
-__all__ = ["UsdWriter"]
-
 WORLD = "/World"
 FLUSH_EVERY = 24
 """Number of frames between flushes, and per clip."""
@@ -163,7 +161,8 @@ class UsdWriter:
         if self._is_package:
             self._pack()
         elif self._live and self._profile == "scene":
-            self._compact()
+            for layer in self._layers:  # without the data that later flushes replaced
+                export_layer(layer, Path(layer.realPath))
         if self._folder and not self._is_package:
             replace_files(self._folder, self._path.parent)
             reload_layer(self._path)
@@ -172,11 +171,6 @@ class UsdWriter:
     def discard(self) -> None:
         """Remove what is not published yet."""
         self._hidden.close()
-
-    def _compact(self) -> None:
-        """Remove the data that later flushes replaced."""
-        for layer in self._layers:
-            export_layer(layer, Path(layer.realPath))
 
     def _define(self, frame: Frame) -> None:
         """Write the constant data, and the first frame as default values."""

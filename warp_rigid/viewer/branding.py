@@ -6,8 +6,6 @@ from functools import lru_cache
 
 from websockets.http11 import Response
 
-__all__ = ["own_title", "with_own_title"]
-
 ICON = (
     "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 32 32'%3E"
     "%3Crect x='4' y='20' width='11' height='9' fill='%23e07a3f'/%3E%3Crect x='17' y='20' width='11' height='9' "

@@ -10,8 +10,6 @@ import numpy as np
 import viser
 from viser import _messages
 
-__all__ = ["accept_checked_messages", "check_camera", "check_point", "check_value"]
-
 ACCEPTED = (
     _messages.GuiUpdateMessage,
     _messages.CommandTriggerMessage,

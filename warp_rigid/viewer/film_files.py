@@ -12,8 +12,6 @@ from warp_rigid.render.film import Film, colored, film_from_recording, film_from
 from warp_rigid.render.strings import with_strings
 from warp_rigid.runs.recording import Recording
 
-__all__ = ["check_suffix", "film_to_draw", "selected", "write_film"]
-
 MAX_WIDTH = 7680
 """Maximum width of a panel [pixel]."""
 

@@ -6,8 +6,6 @@ import socket
 
 from websockets.http11 import Request
 
-__all__ = ["Guard", "is_loopback"]
-
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 WILDCARDS = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}
 """Addresses that stand for all interfaces, and the one under which this machine reaches them."""

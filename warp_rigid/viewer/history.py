@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["History", "Moment"]
-
 QUANTITIES = ("position", "orientation", "linear_velocity", "angular_velocity")
 LENGTH = 20.0
 """Simulated time that is kept [s]."""

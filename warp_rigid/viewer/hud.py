@@ -8,8 +8,6 @@ from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST, Verdict, shown_value
 from warp_rigid.viewer.session import Paced, Session
 
-__all__ = ["Hud"]
-
 HISTORY = 240
 """Points of the energy plot."""
 

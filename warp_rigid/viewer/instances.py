@@ -4,9 +4,7 @@ import numpy as np
 
 from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.render.raycast import on_screen
-from warp_rigid.viewer.page import add_ground, level_planes, opacity_of_walls
-
-__all__ = ["Instances", "bytes_of_light", "creased"]
+from warp_rigid.viewer.page import add_ground, opacity_of_walls
 
 FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
 
@@ -32,7 +30,7 @@ class Instances:
         self._grounds = add_ground(server, film)
         for index, mesh in enumerate(film.meshes):
             for moves in (False, True):
-                chosen = np.flatnonzero((film.mesh == index) & (moving == moves) & ~level_planes(film))
+                chosen = np.flatnonzero((film.mesh == index) & (moving == moves) & ~film.level)
                 if len(chosen):
                     self.handles.append((self._add(mesh, index, moves, chosen, film, colors), chosen))
                     self._moving.append(moves)

@@ -40,9 +40,7 @@ from warp_rigid.viewer.page import (
 from warp_rigid.viewer.panel import Panel
 from warp_rigid.viewer.picking import first_hit, trace
 from warp_rigid.viewer.session import Paced, Session
-from warp_rigid.viewer.slice_view import SliceView
-
-__all__ = ["LiveViewer"]
+from warp_rigid.viewer.slicing import SliceView
 
 log = logging.getLogger(__name__)
 
@@ -148,7 +146,7 @@ class LiveViewer:
 
     def stop(self) -> None:
         """Make `run` return; may be called from any thread."""
-        self._wishes.put((self._halt, ()))
+        self.ask(setattr, self, "_stopped", True)
 
     def ask(self, action: Callable, *arguments: Any) -> None:
         """Queue an action for the viewer's thread; may be called from any thread."""
@@ -329,9 +327,6 @@ class LiveViewer:
         self.history.clear()
         self._past, self._looping = None, False
         self._panel.reset_time()
-
-    def _halt(self) -> None:
-        self._stopped = True
 
     def _some_rows(self, first: int, count: int) -> np.ndarray:
         """Show a number of environments from one on, as far as they exist and the page can show them."""

@@ -11,8 +11,6 @@ from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.scene import Motion
 
-__all__ = ["CONTACTS", "JOINTS", "OVERLAYS", "Overlays"]
-
 BOXES, CELLS, CONTACTS = "Swept boxes", "Hash cells", "Contacts and impulses"
 JOINTS, SAMPLES, CLUSTERS = "Joints", "Samples", "Clusters of the chosen body"
 OVERLAYS = (BOXES, CELLS, CONTACTS, JOINTS, SAMPLES, CLUSTERS)

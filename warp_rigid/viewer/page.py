@@ -28,25 +28,6 @@ from warp_rigid.rotations import rotate
 from warp_rigid.scene.camera import NARROWEST
 from warp_rigid.viewer.server import CheckedServer
 
-__all__ = [
-    "add_ground",
-    "add_labels",
-    "follow_with_pages",
-    "ground_heights",
-    "keep_above_ground",
-    "keep_framed",
-    "level_planes",
-    "look_at_film",
-    "look_from",
-    "look_from_page",
-    "opacity_of_walls",
-    "png_bytes",
-    "set_light",
-    "start_server",
-    "stop_server",
-    "widen_views",
-]
-
 ZENITH, HORIZON, GROUND = (176, 200, 224), (238, 241, 243), (214, 214, 210)
 """Colours of the sky and of infinite grounds."""
 LAMP_LIGHT, SKY_LIGHT = 2.1, 1.4
@@ -122,9 +103,7 @@ def set_light(server: viser.ViserServer, fast: bool) -> None:
 
 def ground_heights(film: Film) -> list[float]:
     """Heights at which level planes lie [m]."""
-    places = [
-        film.position[0][i, 2] + film.meshes[film.mesh[i]].vertices[0, 2] for i in np.flatnonzero(level_planes(film))
-    ]
+    places = [film.position[0][i, 2] + film.meshes[film.mesh[i]].vertices[0, 2] for i in np.flatnonzero(film.level)]
     return sorted({round(float(place), 6) for place in places})
 
 
@@ -163,21 +142,13 @@ def add_ground(server: viser.ViserServer, film: Film) -> list:
     return handles
 
 
-def level_planes(film: Film) -> np.ndarray:
-    """(instances,) True for planes that lie level and fixed, which are drawn as one endless ground."""
-    flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh] & ~film.moving
-    normals = np.array([mesh.normals[0, 0] if mesh.flat else (0.0, 0.0, 0.0) for mesh in film.meshes])[film.mesh]
-    return flat & (rotate(film.orientation[0], normals)[:, 2] > 1.0 - 1.0e-6)
-
-
 def opacity_of_walls(film: Film) -> np.ndarray:
     """(instances,) less than 1 for fixed, thin, upright bodies, behind which others may lie."""
     sizes = np.stack([np.ptp(mesh.vertices, axis=0) for mesh in film.meshes])[film.mesh]
     thinnest = sizes.argmin(axis=1)
     thin = sizes.min(axis=1) < WALL_THICKNESS * np.median(sizes, axis=1)
     upright = np.abs(rotate(film.orientation[0], np.eye(3)[thinnest])[:, 2]) < 0.5
-    flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
-    return np.where(thin & upright & ~flat & ~film.moving, 0.35, 1.0)
+    return np.where(thin & upright & ~film.flat & ~film.moving, 0.35, 1.0)
 
 
 def _below(film: Film, points: np.ndarray) -> np.ndarray:
@@ -266,7 +237,7 @@ def _in_view(camera: Any, points: np.ndarray) -> bool:
     return bool(((np.abs(to @ right) < wide) & (np.abs(to @ np.cross(right, ahead)) < tall)).all())
 
 
-def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None:
+def look_from(view, film: Film, width: int, height: int) -> None:
     """Place a camera of the page where the camera of the film is.
 
     Args:
@@ -274,7 +245,6 @@ def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None
         film: the film.
         width: width of the view, without the panel [pixel].
         height: height of the view [pixel].
-        frame: index of the frame, for a camera that follows a body.
     """
     camera = shifted(film.camera, film.offset[0])
     if abs(camera.elevation) > STEEPEST:
@@ -283,7 +253,7 @@ def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None
     tall = math.tan(0.5 * math.radians(camera.field_of_view))
     free = UNCOVERED if width < min(NARROW, UPRIGHT * height) else 1.0
     if is_placed(camera):
-        eye, distance = place_camera(camera, film, frame)
+        eye, distance = place_camera(camera, film, 0)
     else:
         points = points_to_see(film, np.unique(np.linspace(0, film.num_frames - 1, 12).astype(int)))
         if film.num_frames == 1:

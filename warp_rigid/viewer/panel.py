@@ -19,8 +19,6 @@ from warp_rigid.viewer.overlays import OVERLAYS
 from warp_rigid.viewer.session import Session, key_scenes
 from warp_rigid.viewer.slicing import AXES
 
-__all__ = ["Panel"]
-
 STEP_RATES = ("60", "120", "240", "480", "960")
 CUSTOM = "changed by hand"
 SPAWNED = ("box", "sphere", "capsule", "like the selected body")

@@ -7,8 +7,6 @@ import numpy as np
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.shapes.base import Shape
 
-__all__ = ["first_hit", "trace"]
-
 MOST_STEPS = 200
 NEAR = 1.0e-3
 """A point counts as on the surface within this part of the shape's size."""

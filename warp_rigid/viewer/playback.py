@@ -24,8 +24,6 @@ from warp_rigid.viewer.page import (
     stop_server,
 )
 
-__all__ = ["FilmViewer", "load_film", "save_html"]
-
 PERIOD = 1.0 / 30.0
 """Time between updates of the page [s]."""
 PAGE_RATE = 60.0
@@ -202,11 +200,7 @@ def save_html(film: Film, path, fast: bool = False) -> None:
         # The page starts again at once: the end is shown for a while, so that the loop is no jump in the motion.
         page.insert_sleep(END_PAUSE)
         with atomic_file(path) as beside:
-            beside.write_text(own_title(_without_reset(page.as_html())), encoding="utf-8")
+            text = page.as_html().replace(LOADER, LOADER_WITHOUT_RESET, 1)
+            beside.write_text(own_title(text), encoding="utf-8")
     finally:
         stop_server(server)
-
-
-def _without_reset(page: str) -> str:
-    """The text of a standalone page of viser that does not reset the scene before each loop."""
-    return page.replace(LOADER, LOADER_WITHOUT_RESET, 1)

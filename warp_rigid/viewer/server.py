@@ -17,8 +17,6 @@ from warp_rigid.viewer.branding import with_own_title
 from warp_rigid.viewer.controls import accept_checked_messages
 from warp_rigid.viewer.guard import Guard
 
-__all__ = ["CheckedServer", "check_address"]
-
 PORTS = range(1, 65536)
 PORTS_TRIED = 1000
 MOST_REPORTED = 20

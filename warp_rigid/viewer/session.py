@@ -19,8 +19,6 @@ from warp_rigid.scene.shapes import Shape
 from warp_rigid.scenes import Verdict
 from warp_rigid.viewer.history import Moment
 
-__all__ = ["Paced", "Session"]
-
 PULL_RATE = 8.0
 """Angular frequency of the spring that pulls a body [rad/s]; its damping is critical."""
 
@@ -185,7 +183,7 @@ class Session:
             ValueError: as Simulator.set; nothing is changed then.
         """
         if name == "dt":
-            self._change_dt(value)
+            self._replace(dataclasses.replace(self._sim.settings, dt=value))
         else:
             self._sim.set(name, value, envs=envs)
         if name in self._settings or name == "dt":
@@ -267,10 +265,6 @@ class Session:
         self._events = sorted(self.plan.demo.events(self.plan.scene), key=lambda event: event[0])
         self._outcome = self.plan.demo.outcome(self.plan.scene)
         self._judge = Paced(share=0.03, patience=0.2)
-
-    def _change_dt(self, dt: float) -> None:
-        """Continue in a simulator with another time step and the same state and settings."""
-        self._replace(dataclasses.replace(self._sim.settings, dt=dt))
 
     def _replace(self, settings: Settings) -> None:
         """Continue in a new simulator of the scene, with the state and settings of the bodies that it had."""

@@ -1,8 +1,8 @@
 """Joint: the base of all kinds of joints, and what a scene stores of a joint between two bodies.
 
-A kind of joint is a file in this folder. It states which of the six relative motions of two frames are locked, and
-which coordinate is free: rows and limits, motors, friction, checkpoints, USD and the exported name follow from that.
-The x axis of both frames is the joint's axis.
+A kind of joint states which of the six relative motions of two frames are locked, and which coordinate is free: rows
+and limits, motors, friction, checkpoints, USD and the exported name follow from that. The x axis of both frames is
+the joint's axis.
 """
 
 import math
@@ -42,8 +42,9 @@ class Joint(ABC):
     coordinate: ClassVar[Coordinate] = Coordinate.NONE
 
     def __init_subclass__(cls) -> None:
-        """Register the kind."""
-        JOINTS[cls.__name__] = cls
+        """Register a kind, which states what it locks."""
+        if "locked" in vars(cls):
+            JOINTS[cls.__name__] = cls
 
     @property
     def world_axis(self) -> Vector3:

@@ -42,7 +42,7 @@ def place_joint(
         point_a = finite_vector("anchor", anchors[0])
         point_b = point_a if anchors[1] is None else finite_vector("anchor_b", anchors[1])
         turn = turn_to(joint.world_axis)
-        frame_a, frame_b = _local_frame(a, point_a, turn), _local_frame(b, point_b, turn)
+        frame_a, frame_b = local_frame(a, point_a, turn), local_frame(b, point_b, turn)
     else:
         frame_a, frame_b = _checked_frame("frame_a", frames[0]), _checked_frame("frame_b", frames[1])
     _check_anchors(joint, a, b, frame_a, frame_b)
@@ -67,8 +67,8 @@ def world_frame(body: Any, frame: JointFrame) -> tuple[np.ndarray, np.ndarray]:
     return origin, rotations.multiply(turn, np.array(frame.orientation))
 
 
-def _local_frame(body: Any, point: Sequence[float], turn: np.ndarray) -> JointFrame:
-    """A frame of the world in the frame of a body."""
+def local_frame(body: Any, point: Sequence[float] | np.ndarray, turn: np.ndarray) -> JointFrame:
+    """Return a frame of the world (3,), (4,) in the frame of a body at its initial pose; None is the world."""
     position = np.array(point, np.float64)
     if body is not None:
         own = np.array(body.orientation)

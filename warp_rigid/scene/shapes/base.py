@@ -254,6 +254,7 @@ class Shape:
         return hash(self.key)
 
 
+@exclusive()
 def analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance (n,) [m] and its gradient (n, 3) of an analytic part, in its own frame.
 
@@ -263,23 +264,18 @@ def analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.nd
         part: of an analytic kind, neither GRID nor HEIGHTFIELD.
         points: (n, 3) float64 in the part's frame [m].
     """
-    with exclusive():
-        _load_host_distance()
-        return _analytic_distance(part, points)
-
-
-@cache
-def _load_host_distance() -> None:
-    load_module(wp.get_device("cpu"), host_distance.__name__, 1)
-
-
-def _analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    _load_host_distance()
     places = wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
     found = wp.empty(len(points), dtype=wp.vec4d, device="cpu")
     inputs = [int(part.kind), wp.vec4d(*part.size), places]
     wp.launch(host_distance.part_distances, len(points), inputs=inputs, outputs=[found], device="cpu")
     columns = found.numpy()
     return columns[:, 3].copy(), columns[:, :3].copy()
+
+
+@cache
+def _load_host_distance() -> None:
+    load_module(wp.get_device("cpu"), host_distance.__name__, 1)
 
 
 def content_hash(*items) -> str:

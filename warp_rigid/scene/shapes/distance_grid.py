@@ -58,6 +58,7 @@ def grid_layout(vertices, resolution: int) -> tuple[np.ndarray, float, tuple[int
     return origin, spacing, tuple((cells + 1).tolist())
 
 
+@exclusive()
 def bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -> np.ndarray:
     """Signed distances on the nodes of a grid, computed on a Warp device.
 
@@ -73,11 +74,6 @@ def bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -
     Returns:
         (nx, ny, nz) float32 [m].
     """
-    with exclusive():
-        return _bake(vertices, faces, origin, spacing, shape, simple, device)
-
-
-def _bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -> np.ndarray:
     import warp as wp
 
     from warp_rigid.kernels.collide import bake as kernels
@@ -122,6 +118,7 @@ def interpolate(grid: Grid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return distance, gradient
 
 
+@exclusive()
 def mesh_distance(vertices, faces, points, simple: bool, device=None):
     """Signed distance to the triangles of a closed mesh.
 
@@ -135,15 +132,11 @@ def mesh_distance(vertices, faces, points, simple: bool, device=None):
     Returns:
         Distance (k,) [m], and unit direction (k, 3), zero on the surface.
     """
-    with exclusive():
-        return _mesh_distance(vertices, faces, points, simple, device or _device())
-
-
-def _mesh_distance(vertices, faces, points, simple: bool, device):
     import warp as wp
 
     from warp_rigid.kernels.collide import bake as kernels
 
+    device = device or _device()
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     tables, held = _mesh_tables(vertices - center, faces, simple, device)
     positions = wp.array((points - center).astype(np.float32), dtype=wp.vec3, device=device)

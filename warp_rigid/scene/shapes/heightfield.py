@@ -14,8 +14,6 @@ from warp_rigid.scene.shapes import mass_properties, tessellation
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
 
-__all__ = ["HarmonicMotion", "Heightfield", "moves"]
-
 
 @dataclass(frozen=True, eq=False)
 class HarmonicMotion:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from warp_rigid.scene.shapes import mass_properties, topology
+from warp_rigid.scene.shapes.distance_grid import mesh_distance
 
 UNCHANGED = 1e-7
 """Relative change of volume and area below which shells neither overlap nor touch: rounding in the package."""
@@ -119,8 +120,8 @@ def _with_cavities(vertices, solid, cavities):
     groups = [[shell] for shell in solid]
     volume = [mass_properties.polyhedron(vertices, shell).volume for shell in solid]
     for cavity in cavities:
-        point = vertices[cavity[0, 0]]
-        around = [k for k, shell in enumerate(solid) if topology.winding_number(point, vertices[shell]) > 0.5]
+        point = vertices[cavity[:1, 0]]
+        around = [k for k, shell in enumerate(solid) if mesh_distance(vertices, shell, point, simple=False)[0] < 0.0]
         groups[min(around, key=lambda k: volume[k]) if around else int(np.argmax(volume))].append(cavity)
     return [np.concatenate(group) for group in groups]
 

@@ -153,18 +153,6 @@ def edge_normals(edges: Edges, normals: np.ndarray) -> np.ndarray:
     return _unit_or_zero(np.stack([np.bincount(side, np.repeat(normals[:, axis], 3)) for axis in range(3)], axis=1))
 
 
-def winding_number(point: np.ndarray, triangles: np.ndarray) -> float:
-    """Exact winding number of (m, 3, 3) triangles around a point (3,).
-
-    The solid angle formula of A. Van Oosterom and J. Strackee, IEEE TBME 30(2), 1983.
-    """
-    a, b, c = np.moveaxis(triangles - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
-    volume = np.einsum("mi,mi->m", a, np.cross(b, c))
-    ab, bc, ca = (np.einsum("mi,mi->m", *sides) for sides in ((a, b), (b, c), (c, a)))
-    return float(np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb).sum() / (2.0 * np.pi))
-
-
 def _unit_or_zero(vectors: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors / np.where(length > 1e-12, length, np.inf)
