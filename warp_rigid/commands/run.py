@@ -190,6 +190,8 @@ def run_command(options: RunOptions) -> int:
     chosen = options.recorded(plan)
     _print_import_report(plan.scene.import_report)
     result, failure = _execute(options, plan, chosen, checkpoints)
+    if failure is not None and options.written:
+        note(f"{failure}; writing the {result.summary['frames']} frames before it")
     if options.output and not options.streamed:
         _export(result.recording, options.output, options.usd)
     _draw(options, result.recording)
