@@ -25,7 +25,7 @@ from warp_rigid.sweep.columns import (
 )
 from warp_rigid.sweep.design import MAX_RUNS, Run
 from warp_rigid.sweep.result_plots import plot
-from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries
+from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries, series_folder
 from warp_rigid.sweep.units import unit_of
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
@@ -95,7 +95,7 @@ class SweepResult:
         """Return the time series as a pyarrow.Table with the columns run, time [s] and one for each name of `series`.
 
         Raises:
-            ValueError: The sweep kept none, or the table was read from a file; `read_series` reads its folder.
+            ValueError: The sweep kept none, or the table that was read has no folder of series beside it.
         """
         if self._series is None:
             raise ValueError("series: none were kept; give series to sweep, or read the folder with read_series")
@@ -356,7 +356,8 @@ def read(path: Any) -> SweepResult:
             raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{path}: not a table of a sweep: {reason[:300]}") from None
-    return SweepResult(rows, about)
+    kept = bool(about.get("series")) and series_folder(path).is_dir()
+    return SweepResult(rows, about, series=Series(path, resume=True) if kept else None)
 
 
 def _check(about: Any, rows: list[dict[str, Any]]) -> None:
