@@ -83,6 +83,14 @@ def test_an_error_of_events_is_told_before_films_are_drawn(write, tmp_path, caps
     assert f"{place(path, 'kick')}: KeyError: 'kick'" in told[0]
 
 
+def test_bodies_that_start_in_each_other_are_told(write, capsys):
+    path = write("")
+    for height, told in ((0.08, "bodies overlap by 20 mm at the start"), (0.099, "")):
+        assert cli.main(["run", path, "--set", f"height={height}", "--device", "cpu", "--frames", "1"]) == 0
+        err = capsys.readouterr().err
+        assert told in err and bool(told) == ("overlap" in err)
+
+
 def test_a_run_keeps_everything_but_the_verdicts_of_an_outcome_that_fails(write, capsys):
     path = write("def outcome(sim):\n    return sim.nothing\n")
     assert cli.main(["run", path, "--frames", "3", "--device", "cpu", "--json"]) == 2
