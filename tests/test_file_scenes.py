@@ -201,6 +201,11 @@ def test_view_and_bench_take_the_file(path, capsys):
             "def events(sim):\n    pass",
             "events(sim, frame) or events(sim, frame, parameters), got events(sim)",
         ),
+        (
+            "def events(frame, sim):\n    pass",
+            "events(sim, frame) or events(sim, frame, parameters), got events(frame, sim)",
+        ),
+        ("def outcome(parameters, sim):\n    pass", "outcome(sim, parameters), got outcome(parameters, sim)"),
         ("def outcome(sim, frame, q):\n    pass", "must define outcome(sim) or outcome(sim, parameters), got outcome("),
         ("def vary(sim):\n    pass", "must define vary(sim, height, pellets), got vary(sim)"),
     ],

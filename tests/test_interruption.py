@@ -1,4 +1,4 @@
-"""Ctrl-C ends a command within a second, with one line and status 130, whatever the command does."""
+"""Ctrl-C ends a command within a second, with one line and status 130; the viewer with none and status 0."""
 
 import os
 import signal
@@ -56,6 +56,17 @@ def test_validate_ends_with_one_line(after):
     time.sleep(after)
     status, told, seconds = interrupted(process)
     assert (status, told) == (130, "warp-rigid: interrupted\n")
+    assert seconds < 1.2
+
+
+@pytest.mark.quiet
+def test_the_viewer_ends_with_status_0():
+    process = started([sys.executable, "-m", "warp_rigid", "view", "incline", "--device", "cpu", "--port", "8960"])
+    while "Ctrl-C" not in process.stderr.readline():
+        assert process.poll() is None
+    time.sleep(0.5)
+    status, told, seconds = interrupted(process)
+    assert (status, told) == (0, "")
     assert seconds < 1.2
 
 

@@ -179,9 +179,13 @@ def test_series_on_disk_survive_an_interruption(tmp_path, monkeypatch):
             quick(axes, output=path, **options)
     assert len(list((tmp_path / "t.series").glob("*.parquet"))) == 2
     result = quick(axes, output=path, resume=True, **options)
-    assert result.series().equals(whole) and read_series(tmp_path / "t.series").equals(whole)
+    assert result.series().equals(whole) and wr.sweep.read_series(tmp_path / "t.series").equals(whole)
+    assert read(path).series().equals(whole)
     quick({"height": [0.1]}, output=path, overwrite=True, **options)
     assert set(read_series(tmp_path / "t.series")["run"].to_pylist()) == {0}
+    quick({"height": [0.1]}, output=path, overwrite=True)
+    with pytest.raises(ValueError, match="^series: "):
+        read(path).series()
 
 
 def test_series_in_zarr_are_those_in_parquet(tmp_path, monkeypatch):

@@ -106,3 +106,8 @@ def test_mistakes_are_named(arguments, message, tmp_path):
         plot(table(["a"], [(1,), (2,)]), **{"path": tmp_path / "p.png"} | arguments)
     with pytest.raises(ValueError, match="requires at least one row and one axis"):
         plot(table(["a"], []), tmp_path / "p.png")
+
+
+def test_an_axis_is_refused_as_the_metric(tmp_path):
+    with pytest.raises(ValueError, match=r"y must be a metric \(total"):
+        table(["a", "b"], [(a, b) for a in range(6) for b in range(5)]).plot(tmp_path / "p.png", x="a", y="b")

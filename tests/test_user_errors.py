@@ -8,7 +8,7 @@ from PIL import Image
 from pxr import Usd
 
 import warp_rigid as wr
-from warp_rigid.commands import cli
+from warp_rigid.commands import cli, run
 from warp_rigid.runs.runner import execute, find_scene, plan_run
 from warp_rigid.runs.user_code import UserCodeError
 
@@ -74,6 +74,21 @@ def test_a_run_keeps_the_frames_before_an_error_of_its_events(write, tmp_path, c
     with pytest.raises(UserCodeError, match=place(path, "kick") + ": KeyError: 'kick'$") as error:
         execute(plan_run(find_scene(path), ["boxes=2"], device="cpu"))
     assert error.value.kept.recording.position.shape[0] == 7
+
+
+def test_an_error_of_events_is_told_before_films_are_drawn(write, tmp_path, capsys, monkeypatch):
+    path, told = write(EVENTS), []
+    monkeypatch.setattr(run, "_draw", lambda *_: told.append(capsys.readouterr().err))
+    cli.main(["run", path, "--set", "boxes=2", "--device", "cpu", "--film", str(tmp_path / "a.gif")])
+    assert f"{place(path, 'kick')}: KeyError: 'kick'" in told[0]
+
+
+def test_bodies_that_start_in_each_other_are_told(write, capsys):
+    path = write("")
+    for height, told in ((0.08, "bodies overlap by 20 mm at the start"), (0.099, "")):
+        assert cli.main(["run", path, "--set", f"height={height}", "--device", "cpu", "--frames", "1"]) == 0
+        err = capsys.readouterr().err
+        assert told in err and bool(told) == ("overlap" in err)
 
 
 def test_a_run_keeps_everything_but_the_verdicts_of_an_outcome_that_fails(write, capsys):

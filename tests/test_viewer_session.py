@@ -97,6 +97,14 @@ def test_variant_sets_all_of_its_settings_and_a_change_by_hand_leaves_it():
     assert session.sim.get("contact_iterations")[0] == 10 and session.sim.get("shock_iterations")[0] == 1
 
 
+def test_a_scene_without_variants_starts_with_its_own_settings(falling):
+    assert falling.variant == "default"
+    falling.change("contact_iterations", 3)
+    assert falling.variant is None
+    falling.use_variant("default")
+    assert falling.variant == "default" and falling.sim.get("contact_iterations")[0] == 10
+
+
 def test_verdicts_are_those_of_a_run():
     session = Session("seesaw", device="cpu")
     plan = runner.plan_run(runner.find_scene("seesaw"), device="cpu", fps=30)

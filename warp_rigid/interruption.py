@@ -1,4 +1,4 @@
-"""Ctrl-C in the commands: it ends them within a second, with one line.
+"""Ctrl-C in the commands: it ends them within a second, with at most one line.
 
 While modules are imported, nothing is lost: the process ends at once. Otherwise, KeyboardInterrupt is raised in the
 main thread. Libraries may swallow it, as Python does in destructors and callbacks, and no exception is raised while
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-__all__ = ["STATUS", "end_at_once", "is_of_command", "keeping", "needs_telling", "received", "watched"]
+__all__ = ["STATUS", "end", "end_at_once", "is_of_command", "keeping", "needs_telling", "received", "watched"]
 
 STATUS = 130
 AGAIN, LONGEST = 0.2, 0.6
@@ -63,10 +63,19 @@ def received() -> int:
     A watched process ends here: the interpreter's own end takes longer, and it can be interrupted again.
     """
     if _state["watched"]:
-        with contextlib.suppress(OSError):
-            sys.stdout.flush()
-        _end()
+        end(STATUS)
     return STATUS
+
+
+def end(status: int) -> None:
+    """End a watched process with a status; others go on. The interpreter's own end can take seconds."""
+    if not _state["watched"]:
+        return
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+    if status == STATUS:
+        _end()
+    os._exit(status)
 
 
 @contextlib.contextmanager

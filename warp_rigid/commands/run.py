@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.table import Table
 
@@ -22,6 +23,7 @@ from warp_rigid.commands.terminal import (
     say_written,
     told_if_interrupted,
 )
+from warp_rigid.engine.simulator import Simulator
 from warp_rigid.files.atomic import check_unread
 from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
@@ -29,11 +31,14 @@ from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
 from warp_rigid.runs.recording import Recording
 from warp_rigid.runs.user_code import UserCodeError
+from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import shown_settings, shown_value
 from warp_rigid.usd import ImportReport, UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
 
 CAPACITY, NON_FINITE, UNEXPECTED = 3, 4, 6
+START_OVERLAP = 0.05
+"""Overlap at the start that is reported, relative to the size of the smallest body."""
 MAX_RECORDED = 16
 """Default maximum number of recorded environments."""
 MAX_COLUMNS = 8
@@ -191,7 +196,10 @@ def run_command(options: RunOptions) -> int:
     checkpoints = options.checkpoints(plan)
     chosen = options.recorded(plan)
     _print_import_report(plan.scene.import_report)
+    _print_overlap(plan.sim)
     result, failure = _execute(options, plan, chosen, checkpoints)
+    if failure is not None and options.written:
+        note(f"{failure}; writing the {result.summary['frames']} frames before it")
     if options.output and not options.streamed:
         _export(result.recording, options.output, options.usd)
     _draw(options, result.recording)
@@ -279,6 +287,19 @@ def _print_import_report(report: ImportReport | None) -> None:
     """Print each difference between the scene and its file."""
     for finding in report.findings if report is not None else ():
         note(str(finding))
+
+
+def _print_overlap(sim: Simulator) -> None:
+    """Warn of bodies that start in each other, which move apart by themselves."""
+    moving = [[body for body in scene.bodies if body.motion == Motion.DYNAMIC and body.active] for scene in sim.scenes]
+    sizes = np.array([min((body.shape.size for body in bodies), default=np.inf) for bodies in moving])
+    deepest = sim.penetration()
+    if (deepest > START_OVERLAP * sizes[sim.scene_of]).any():
+        worst = int(np.argmax(deepest / sizes[sim.scene_of]))
+        note(
+            f"environment {worst}: warning: bodies overlap by {1e3 * deepest[worst]:.3g} mm at the start and will be "
+            "pushed apart; place them apart"
+        )
 
 
 def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:

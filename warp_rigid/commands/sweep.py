@@ -141,7 +141,8 @@ def print_result(result: Any, files: list[str], as_json: bool, seconds: float | 
             if values.dtype.kind in "iufb" and len(values):
                 finite = [value for value in values.astype(float).tolist() if value == value]
                 if finite:
-                    lines.append(f"{name}: {min(finite):.4g} to {max(finite):.4g}")
+                    unit = f" {result.units[name]}" if name in result.units else ""
+                    lines.append(f"{name}: {min(finite):.4g} to {max(finite):.4g}{unit}")
         say(*lines)
         say_written(files)
     if failed:

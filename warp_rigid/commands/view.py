@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from warp_rigid import interruption
 from warp_rigid.commands.options import Device, Envs, Seed, takes
 from warp_rigid.commands.terminal import CAMERA_HELP, note
 from warp_rigid.scenes.demo import shown_settings
@@ -79,3 +80,4 @@ def view_command(options: ViewOptions) -> None:
         viewer.run()
     except KeyboardInterrupt:
         stop_server(viewer.server)
+        interruption.end(0)

@@ -77,15 +77,21 @@ def takes_parameters(path: Path, function: Callable, *arguments: str) -> bool:
         arguments: names of its other arguments, for the error message.
 
     Raises:
-        ValueError: It can be called neither with these arguments nor with these and the parameters.
+        ValueError: It can be called neither with these arguments nor with these and the parameters, or has them in
+            another order.
     """
     signature = inspect.signature(function)
     count = len(arguments)
+    name, given = getattr(function, "__name__", "function"), ", ".join(arguments)
+    form = f"{name}({given}) or {name}({given}, parameters)"
+    for expected in (arguments, (*arguments, "parameters")):
+        found = tuple(signature.parameters)[: len(expected)]
+        if found != expected and sorted(found) == sorted(expected):
+            raise ValueError(f"{path}: must define {form}, got {name}{signature}")
     short, long = (_accepts(signature, (None,) * number, {}) for number in (count, count + 1))
     if long and (not short or list(signature.parameters)[count : count + 1] == ["parameters"]):
         return True
-    name, given = getattr(function, "__name__", "function"), ", ".join(arguments)
-    check_call(path, f"{name}({given}) or {name}({given}, parameters)", function, *(None,) * count)
+    check_call(path, form, function, *(None,) * count)
     return False
 
 

@@ -15,7 +15,7 @@ from warp_rigid.sweep.series import read_series
 from warp_rigid.sweep.table import SweepResult, merge, read
 
 # `warp_rigid.sweep` is this function, not the package: the functions that read its tables are found on it.
-sweep.__dict__.update(read=read, merge=merge)
+sweep.__dict__.update(read=read, merge=merge, read_series=read_series)
 
 __all__ = [
     "Choice",

@@ -90,12 +90,12 @@ def split_into_batches(
             part = runs[first : first + size]
             parts += [part] if batch != "auto" else _fitting(part, int(MEMORY_FRACTION * memory))
     log.info(
-        "%d runs in %d batches of at most %d; at most %.3g MB per batch, %.3g MB free",
+        "%d runs in %d batches of at most %d; at most %.3g MB per batch, %.3g GB free",
         sum(map(len, parts)),
         len(parts),
         max(map(len, parts)),
         max(map(batch_bytes, parts)) / 1e6,
-        memory / 1e6,
+        memory / 1e9,
     )
     return [[sized.run for sized in part] for part in parts]
 

@@ -45,6 +45,8 @@ def plot(result: Any, path: Any = None, x: str | None = None, y: str | None = No
     if not (_is_number(values) or values.dtype == bool):
         raise ValueError(f"plot: y must be a numeric column, got {y}")
     result.column(x)
+    if y in result.axes:
+        raise ValueError(f"plot: y must be a metric ({', '.join(result.metrics)}), got the axis {y}")
     others = [name for name in result.axes if name != x]
     kind = kind or _kind(result, x, [name for name in numeric if name != x])
     figure = ShownFigure()

@@ -19,7 +19,7 @@ from warp_rigid.sweep.columns import COLUMNS, FINISHED, METADATA_TYPES, REQUIRED
 from warp_rigid.sweep.design import MAX_RUNS, Run
 from warp_rigid.sweep.frames import arrow_table, dataset
 from warp_rigid.sweep.result_plots import plot
-from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries
+from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries, series_folder
 
 WRITE_INTERVAL_RATIO = 10.0
 """Minimum time between two writes of the file, relative to the duration of a write."""
@@ -86,7 +86,7 @@ class SweepResult:
         """Return the time series as a pyarrow.Table with the columns run, time [s] and one for each name of `series`.
 
         Raises:
-            ValueError: The sweep kept none, or the table was read from a file; `read_series` reads its folder.
+            ValueError: The sweep kept none, or the table that was read has no folder of series beside it.
         """
         if self._series is None:
             raise ValueError("series: none were kept; give series to sweep, or read the folder with read_series")
@@ -352,7 +352,8 @@ def read(path: Any) -> SweepResult:
             raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{path}: not a table of a sweep: {reason[:300]}") from None
-    return SweepResult(rows, about)
+    kept = bool(about.get("series")) and series_folder(path).is_dir()
+    return SweepResult(rows, about, series=Series(path, resume=True) if kept else None)
 
 
 def _check(about: Any, rows: list[dict[str, Any]]) -> None:

@@ -182,7 +182,7 @@ class LiveViewer:
 
     def use_variant(self, name: str) -> None:
         """Restart with the settings of a variant."""
-        if name in self.session.plan.demo.variants:
+        if name in self.session.variants:
             self.session.use_variant(name)
             self.session.running = True
         self._panel.refresh(self.session, int(self.rows[0]))

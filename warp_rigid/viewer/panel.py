@@ -84,12 +84,11 @@ class Panel:
     def refresh(self, session: Session, env: int) -> None:
         """Set all controls to the values of one environment."""
         sim, widgets = session.sim, self._widgets
-        demo = session.plan.demo
         # A file is on offer only if the command line, or a program, has opened it.
         known = dict.fromkeys((self._viewer.given, session.source, *scenes.names()))
         files = [source for source in known if source not in scenes.names()]
         self._options("scene", [*files, *scenes.names()], session.source)
-        self._options("variant", [*demo.variants, CUSTOM], session.variant or CUSTOM)
+        self._options("variant", [*session.variants, CUSTOM], session.variant or CUSTOM)
         self._summary.content = _summary(session)
         for name in ("collision_iterations", "contact_iterations", "shock_iterations"):
             self._set(name, int(sim.get(name)[env]))
@@ -363,6 +362,6 @@ def _label(name: str) -> str:
 def _summary(session: Session) -> str:
     """Summary of the scene, and the changes of its variant."""
     demo = session.plan.demo
-    changes = demo.variants.get(session.variant or "", {})
+    changes = session.variants.get(session.variant or "", {})
     changed = ", ".join(f"{name} = {value}" for name, value in changes.items())
     return f"*{demo.summary}*" + (f"\n\n{session.variant}: {changed}" if changed else "")

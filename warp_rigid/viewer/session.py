@@ -95,7 +95,7 @@ class Session:
         self.plan = runner.plan_run(demo, **{**kept, **options})
         self.source = source
         self._sim = self.plan.sim
-        self.variant = next(iter(demo.variants), None) if not options.get("assignments") else None
+        self.variant = next(iter(self.variants)) if not options.get("assignments") else None
         self._settings = {name: self.sim.get(name) for name in dataclasses.asdict(self.sim.settings) if name != "dt"}
         self._start = {name: self.sim.get(name) for name in ("position", "orientation")}
         self._start |= {name: self.sim.get(name) for name in ("linear_velocity", "angular_velocity")}
@@ -111,6 +111,11 @@ class Session:
     def time(self) -> float:
         """Simulated time since the last restart [s]."""
         return self._time_before + self._sim.time
+
+    @property
+    def variants(self) -> dict[str, Any]:
+        """Changed settings by the names of the scene's variants; a scene without variants has its own settings."""
+        return self.plan.demo.variants or {"default": {}}
 
     @property
     def verdicts(self) -> list[Verdict]:
@@ -165,7 +170,7 @@ class Session:
 
     def use_variant(self, name: str) -> None:
         """Put the settings back to those of the scene and of one of its variants, and restart."""
-        changes = self.plan.demo.variants[name]
+        changes = self.variants[name]
         for setting, value in self._settings.items():
             self._sim.set(setting, changes.get(setting, list(value)))
         self.variant = name
