@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
-from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.scenes.builders.parts import body, on_ground
+from warp_rigid.scenes.builders.parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
@@ -29,7 +27,7 @@ def cases(quick: bool) -> Cases:
     ]
 
 
-def block_on_incline(block, degrees, friction, start=None, restitution=0.0, gravity=G, mesh=False, **options):
+def block_on_incline(block, degrees, friction, start=0.0, restitution=0.0, gravity=G, mesh=False, **options):
     """Experiment: a block on inclines that descend along x, one environment for each entry of the lists.
 
     Args:
@@ -42,23 +40,16 @@ def block_on_incline(block, degrees, friction, start=None, restitution=0.0, grav
         mesh: tilt a mesh under vertical gravity instead of gravity over level ground.
         options: of the Experiment.
     """
-    degrees, friction = np.atleast_1d(degrees), np.atleast_1d(friction)
-    degrees, friction = np.broadcast_arrays(degrees, friction)
-    start = np.broadcast_to(0.0 if start is None else start, degrees.shape)
+    degrees, friction, start = np.broadcast_arrays(np.atleast_1d(degrees), friction, start)
     half = block.half_extents[2]
-    down = directions(degrees if mesh else 0.0 * degrees)[0]
-    up = directions(degrees if mesh else 0.0 * degrees)[1]
-    turn = turn_about((0, 1, 0), degrees if mesh else 0.0 * degrees)
+    tilt = degrees if mesh else 0.0 * degrees
+    down, up = directions(tilt)
+    turn = turn_about((0, 1, 0), tilt)
+    placed = body(block, position=(0, 0, half), restitution=restitution)
 
-    def scene():
-        if not mesh:
-            made = level_scene(restitution=restitution)
-        else:
-            made = Scene(gravity=(0, 0, -gravity))
-            vertices, faces = cube()
-            made.add_static(Mesh(2.0 * vertices * [4, 2, 0.5], faces, sdf_resolution=32), restitution=restitution)
-        made.add_body(block, position=(0, 0, half), restitution=restitution)
-        return made
+    def plate(scene):
+        vertices, faces = cube()
+        scene.add_static(Mesh(2.0 * vertices * [4, 2, 0.5], faces, sdf_resolution=32), restitution=restitution)
 
     starts = [
         per_env("friction", friction),
@@ -67,8 +58,10 @@ def block_on_incline(block, degrees, friction, start=None, restitution=0.0, grav
         Start("linear_velocity", (start[:, None] * down)[:, None], bodies=[1]),
     ]
     if mesh:
+        scene = in_space(plate, placed, gravity=(0, 0, -gravity))
         starts += [Start("position", (-0.5 * up)[:, None], bodies=[0]), Start("orientation", turn[:, None], bodies=[0])]
     else:
+        scene = on_ground(placed, restitution=restitution)
         starts.append(Start("gravity", [downhill(angle, gravity) for angle in degrees]))
     name = f"{'cube' if block is CUBE else 'slab'}{' on a mesh' if mesh else ''}"
     variants = tuple(f"{angle:.4g} deg, mu {mu:g}" for angle, mu in zip(degrees, friction, strict=True))
@@ -78,13 +71,8 @@ def block_on_incline(block, degrees, friction, start=None, restitution=0.0, grav
 def directions(degrees) -> np.ndarray:
     """Unit vectors (2, n, 3) down along an incline and up from it."""
     slope = np.radians(np.asarray(degrees, np.float64))
-    zero = np.zeros_like(slope)
-    return np.array(
-        [
-            np.stack([np.cos(slope), zero, -np.sin(slope)], axis=-1),
-            np.stack([np.sin(slope), zero, np.cos(slope)], axis=-1),
-        ]
-    )
+    cosine, zero, sine = np.cos(slope), np.zeros_like(slope), np.sin(slope)
+    return np.array([[cosine, zero, -sine], [sine, zero, cosine]]).swapaxes(1, 2)
 
 
 def along(trace, which=0):
@@ -185,15 +173,6 @@ def moved_after_stop(trace):
     return np.abs(way(trace) - stop_distance(trace))
 
 
-def stopping_checks(time, distance, limit):
-    """Checks of time and distance of a stop, and of rest after it."""
-    return (
-        measured("time to stop", "s", stop_time, relative(limit), time),
-        measured("distance to stop", "m", lambda t: at_time(t, along(t), stop_time(t)), relative(limit), distance),
-        measured("motion after the stop", "m", moved_after_stop, at_most(1e-4)),
-    )
-
-
 def stops():
     """A block with an initial speed downhill stops and stays at rest."""
     degrees, friction, start = np.array([20.0, 10.0]), np.array([0.5, 0.3]), np.array([2.0, 1.0])
@@ -204,7 +183,9 @@ def stops():
         "V22",
         "block that slides downhill and stops",
         COULOMB,
-        *stopping_checks(every, way, 0.01),
+        measured("time to stop", "s", stop_time, relative(0.01), every),
+        measured("distance to stop", "m", stop_distance, relative(0.01), way),
+        measured("motion after the stop", "m", moved_after_stop, at_most(1e-4)),
         of=(
             block_on_incline(CUBE, degrees, friction, start, duration=3.0),
             block_on_incline(SLAB, degrees, friction, start, duration=3.0),
