@@ -8,7 +8,7 @@ from warp_rigid.checks import number_in
 from warp_rigid.scene.joints import DistanceJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Sphere
-from warp_rigid.scenes.demo import Demo, Verdict
+from warp_rigid.scenes.demo import Verdict
 
 RADIUS = 0.05
 LENGTH = 0.5
@@ -35,7 +35,7 @@ def build(angle: float = 0.5) -> Scene:
     return scene
 
 
-class CradleOutcome:
+class Outcome:
     """Speeds of all balls right after the first impact."""
 
     def __init__(self, scene):
@@ -62,10 +62,5 @@ class CradleOutcome:
         ]
 
 
-DEMO = Demo(
-    name="cradle",
-    summary="Newton's cradle: the last ball flies off with the speed of the first",
-    build=build,
-    outcome=CradleOutcome,
-    duration=2.0,
-)
+SUMMARY = "Newton's cradle: the last ball flies off with the speed of the first"
+DURATION = 2.0
