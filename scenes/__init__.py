@@ -1,11 +1,12 @@
 """The built-in scenes: `names` lists them, `load` builds one, `get` returns how one is run and judged."""
 
+from functools import cache
 from importlib import import_module
 from typing import Any
 
 from warp_rigid.checks import shown, suggestion
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scenes.demo import Demo, Outcome, Verdict
+from warp_rigid.scenes.demo import Demo, Outcome, Verdict, no_events
 
 __all__ = ["Demo", "Outcome", "Verdict", "get", "load", "names"]
 
@@ -37,7 +38,11 @@ _NAMES = (
     "demolition",
     "sorting_line",
 )
-"""Files of this folder; each defines a DEMO of this name, and is imported when it is needed."""
+"""Files of this folder, which are imported when they are needed.
+
+Each defines SUMMARY, DURATION, a function `build` and a class `Outcome`, and where it needs them VARIANTS, SETTINGS,
+GOES_WITH and the functions `events` and `vary`: the attributes of a Demo.
+"""
 
 
 def names() -> list[str]:
@@ -54,7 +59,24 @@ def get(name: str) -> Demo:
     if name not in _NAMES:
         known = suggestion(name, _NAMES, "warp-rigid scenes")
         raise ValueError(f"scene: must be a built-in scene, got {shown(name)}{known}")
-    return import_module(f"{__name__}.{name}").DEMO
+    return _demo(name)
+
+
+@cache
+def _demo(name: str) -> Demo:
+    module = import_module(f"{__name__}.{name}")
+    return Demo(
+        name,
+        module.SUMMARY,
+        module.build,
+        module.Outcome,
+        module.DURATION,
+        getattr(module, "VARIANTS", {"default": {}}),
+        getattr(module, "events", no_events),
+        getattr(module, "SETTINGS", {}),
+        getattr(module, "vary", None),
+        getattr(module, "GOES_WITH", {}),
+    )
 
 
 def load(name: str, **parameters: Any) -> Scene:

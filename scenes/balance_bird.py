@@ -10,7 +10,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Mesh, Sphere, tessellation
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import Demo, Verdict, below, indices
+from warp_rigid.scenes.demo import Verdict, below, indices
 
 PEDESTAL_RADII = (0.08, 0.006)
 """Radius of the pedestal at its foot and at its flat top [m]."""
@@ -89,7 +89,7 @@ def _wing(start, end):
     return Box((0.5 * length, 0.022, 0.003)), tuple(0.5 * (start + end)), (-s * e, c * e, s * d, c * d)
 
 
-class BirdOutcome:
+class Outcome:
     """Whether the bird stays on the pedestal, and the period of its swing."""
 
     def __init__(self, scene):
@@ -143,10 +143,5 @@ def _period(times, angle):
     return 2.0 * (passed[-1] - passed[0]) / (len(passed) - 1)
 
 
-DEMO = Demo(
-    name="balance_bird",
-    summary="a bird balances on its beak and swings with the period of a pendulum",
-    build=build,
-    outcome=BirdOutcome,
-    duration=5.0,
-)
+SUMMARY = "a bird balances on its beak and swings with the period of a pendulum"
+DURATION = 5.0

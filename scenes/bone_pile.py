@@ -17,7 +17,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment, grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, Demo, OverlapOutcome, Verdict, outside, vary_starts
+from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, OverlapOutcome, Verdict, outside, vary_starts
 
 SURFACE: dict[str, Any] = {"friction": 0.4, "restitution": 0.3, "rolling_friction": 0.003}
 DENSITY = 1500.0
@@ -105,7 +105,7 @@ def _funnel(bones):
     return Mesh(*tessellation.wheel(np.array(section), 48), sdf_resolution=128)
 
 
-class BonesOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Whether all bones fell through the funnel into the plot and none overlaps another."""
 
     prefix = "bone_"
@@ -123,12 +123,7 @@ class BonesOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="bone_pile",
-    summary="craniums, pelvises and femurs fall through a funnel into a walled plot",
-    build=build,
-    outcome=BonesOutcome,
-    duration=4.0,
-    variants={"default": {}, "one_pass": ONE_PASS_2003},
-    vary=vary_starts("bone_", starts),
-)
+SUMMARY = "craniums, pelvises and femurs fall through a funnel into a walled plot"
+DURATION = 4.0
+VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
+vary = vary_starts("bone_", starts)

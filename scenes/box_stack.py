@@ -8,7 +8,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, OverlapOutcome, Verdict, below, indices, rest_verdict
+from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, OverlapOutcome, Verdict, below, indices, rest_verdict
 
 HALF = float(stacks.CUBE.half_extents[2])
 PLATFORM_TOP = 0.5
@@ -55,7 +55,7 @@ def events(scene):
     return [(LAUNCH_TIME, launch)]
 
 
-class StackOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Accuracy of the stack before the hit, and its motion after the hit."""
 
     prefix = "box_"
@@ -105,16 +105,10 @@ class StackOutcome(OverlapOutcome):
         return verdicts
 
 
-DEMO = Demo(
-    name="box_stack",
-    summary="boxes fall into a stack on a platform, then a projectile knocks it over",
-    build=build,
-    outcome=StackOutcome,
-    duration=10.0,
-    variants={
-        "default": {},
-        "one_pass": {**ONE_PASS_2003, "contact_iterations": 2},
-        "off": {**OFF_2003, "contact_iterations": 2},
-    },
-    events=events,
-)
+SUMMARY = "boxes fall into a stack on a platform, then a projectile knocks it over"
+DURATION = 10.0
+VARIANTS = {
+    "default": {},
+    "one_pass": {**ONE_PASS_2003, "contact_iterations": 2},
+    "off": {**OFF_2003, "contact_iterations": 2},
+}

@@ -7,7 +7,7 @@ from warp_rigid.scene.joints import DistanceJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome
-from warp_rigid.scenes.demo import Demo, Verdict, rest_verdict
+from warp_rigid.scenes.demo import Verdict, rest_verdict
 
 PLANK = (0.09, 0.5, 0.02)
 SPACING = 0.2
@@ -69,7 +69,7 @@ def _arc(planks):
     return np.stack([x, np.zeros_like(x), HEIGHT + z - z[0]], axis=1)
 
 
-class BridgeOutcome(ClosedJointsOutcome):
+class Outcome(ClosedJointsOutcome):
     """Sag of the bridge, gaps of its joints, and rest."""
 
     def __init__(self, scene):
@@ -95,10 +95,5 @@ class BridgeOutcome(ClosedJointsOutcome):
         ]
 
 
-DEMO = Demo(
-    name="bridge",
-    summary="a rope bridge of fifty planks carries a load a thousand times heavier than one of them",
-    build=build,
-    outcome=BridgeOutcome,
-    duration=12.0,
-)
+SUMMARY = "a rope bridge of fifty planks carries a load a thousand times heavier than one of them"
+DURATION = 12.0

@@ -8,7 +8,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, OverlapOutcome, Verdict, outside, rest_verdict, vary_starts
+from warp_rigid.scenes.demo import ONE_PASS_2003, OverlapOutcome, Verdict, outside, rest_verdict, vary_starts
 
 
 def build(bodies: int = 8, seed: int = 1000) -> Scene:
@@ -28,7 +28,7 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
     return scene
 
 
-class PileOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Whether all bunnies came to rest in the box and none overlaps another."""
 
     prefix = "bunny_"
@@ -45,13 +45,8 @@ class PileOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="bunny_pile",
-    summary="bunnies fall into an open box and settle",
-    build=build,
-    outcome=PileOutcome,
-    # A bunny that lands on its back may rock for seven seconds.
-    duration=10.0,
-    variants={"default": {}, "one_pass": ONE_PASS_2003},
-    vary=vary_starts("bunny_", piles.starts),
-)
+SUMMARY = "bunnies fall into an open box and settle"
+# A bunny that lands on its back may rock for seven seconds.
+DURATION = 10.0
+VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
+vary = vary_starts("bunny_", piles.starts)

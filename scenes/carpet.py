@@ -11,7 +11,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 from warp_rigid.scenes.builders import assortment, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import SOUND, Demo, OverlapOutcome, Verdict, above_heightfield, vary_starts
+from warp_rigid.scenes.demo import SOUND, OverlapOutcome, Verdict, above_heightfield, vary_starts
 
 EXTENT = 30.0
 VERTICES = 61
@@ -54,7 +54,7 @@ def starts(bodies: int, seed: int, amplitude: float) -> tuple[np.ndarray, np.nda
     return position + rng.uniform(-0.1, 0.1, (bodies, 3)), rotations.random(rng, bodies)
 
 
-class CarpetOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Height of the throws, mean speed, and whether a body passes through the ground."""
 
     def __init__(self, scene):
@@ -95,11 +95,6 @@ class CarpetOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="carpet",
-    summary="a travelling wave of the ground throws and transports bodies",
-    build=build,
-    outcome=CarpetOutcome,
-    duration=4.0,
-    vary=vary_starts("body_", starts),
-)
+SUMMARY = "a travelling wave of the ground throws and transports bodies"
+DURATION = 4.0
+vary = vary_starts("body_", starts)

@@ -6,7 +6,6 @@ from warp_rigid.scene.joints import SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Capsule, Sphere
 from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome
-from warp_rigid.scenes.demo import Demo
 
 LENGTH = 0.1
 LINK_MASS = 0.1
@@ -45,7 +44,7 @@ def build(links: int = 100, ratio: float = 1000.0, speed: float = 1.0) -> Scene:
     return scene
 
 
-class ChainOutcome(ClosedJointsOutcome):
+class Outcome(ClosedJointsOutcome):
     """How far the joints open."""
 
     def verdicts(self, sim):
@@ -53,10 +52,5 @@ class ChainOutcome(ClosedJointsOutcome):
         return [] if self.opened is None else [self.closed_verdict(1e-4)]
 
 
-DEMO = Demo(
-    name="chain",
-    summary="a hundred links carry a ball a thousand times heavier than one of them",
-    build=build,
-    outcome=ChainOutcome,
-    duration=4.0,
-)
+SUMMARY = "a hundred links carry a ball a thousand times heavier than one of them"
+DURATION = 4.0

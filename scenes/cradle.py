@@ -9,7 +9,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import DistanceJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Sphere
-from warp_rigid.scenes.demo import Demo, Verdict
+from warp_rigid.scenes.demo import Verdict
 
 RADIUS = 0.05
 LENGTH = 0.5
@@ -36,7 +36,7 @@ def build(angle: float = 0.5) -> Scene:
     return scene
 
 
-class CradleOutcome:
+class Outcome:
     """Speeds of all balls right after the first impact."""
 
     def __init__(self, scene):
@@ -63,10 +63,5 @@ class CradleOutcome:
         ]
 
 
-DEMO = Demo(
-    name="cradle",
-    summary="Newton's cradle: the last ball flies off with the speed of the first",
-    build=build,
-    outcome=CradleOutcome,
-    duration=2.0,
-)
+SUMMARY = "Newton's cradle: the last ball flies off with the speed of the first"
+DURATION = 2.0

@@ -8,7 +8,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, Verdict, below, indices
+from warp_rigid.scenes.demo import Verdict, below, indices
 
 HALF = 0.1
 ROWS = 3
@@ -38,7 +38,7 @@ def build(speed: float = 0.25) -> Scene:
     return scene
 
 
-class CraneOutcome:
+class Outcome:
     """How far the box was lifted, and how far the others moved."""
 
     def __init__(self, scene):
@@ -66,10 +66,5 @@ class CraneOutcome:
         ]
 
 
-DEMO = Demo(
-    name="crane",
-    summary="a crane lifts the upper box from a pile without moving the others",
-    build=build,
-    outcome=CraneOutcome,
-    duration=4.0,
-)
+SUMMARY = "a crane lifts the upper box from a pile without moving the others"
+DURATION = 4.0

@@ -8,7 +8,7 @@ from warp_rigid.scene.joints import SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
 from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome
-from warp_rigid.scenes.demo import Demo, Verdict, indices
+from warp_rigid.scenes.demo import Verdict, indices
 
 BRICK = (0.1, 0.2, 0.1)
 LINKS, LINK = 12, 0.25
@@ -60,7 +60,7 @@ def build(rows: int = 25, columns: int = 20, angle: float = 60.0) -> Scene:
     return scene
 
 
-class DemolitionOutcome(ClosedJointsOutcome):
+class Outcome(ClosedJointsOutcome):
     """Bricks that were displaced, and how far joints of the chain opened."""
 
     def __init__(self, scene):
@@ -81,10 +81,5 @@ class DemolitionOutcome(ClosedJointsOutcome):
         ]
 
 
-DEMO = Demo(
-    name="demolition",
-    summary="a ball on a chain swings into a wall of bricks; the chain stays closed",
-    build=build,
-    outcome=DemolitionOutcome,
-    duration=3.0,
-)
+SUMMARY = "a ball on a chain swings into a wall of bricks; the chain stays closed"
+DURATION = 3.0

@@ -11,7 +11,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict
+from warp_rigid.scenes.demo import OverlapOutcome, Verdict
 
 HALF = (0.016, 0.06, 0.18)
 """Half of a domino's thickness, width and height [m]."""
@@ -72,7 +72,7 @@ def spiral(count: int, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return place, turn + np.arctan2(radius, growth), distance
 
 
-class DominoOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Which dominoes fall, in which order, and how fast the wave runs."""
 
     prefix = "domino_"
@@ -121,13 +121,8 @@ class DominoOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="domino_spiral",
-    summary="a leaning domino topples a spiral of others, if it leans by more than atan(thickness / height)",
-    build=build,
-    outcome=DominoOutcome,
-    duration=5.0,
-    variants={"default": {}, "two_pass": {"shock_propagation": "two_pass"}},
-    # The fallen dominoes lean on each other in a row and do not stack, so shock propagation is of no use.
-    settings={"shock_propagation": "off", "contact_iterations": 40},
-)
+SUMMARY = "a leaning domino topples a spiral of others, if it leans by more than atan(thickness / height)"
+DURATION = 5.0
+VARIANTS = {"default": {}, "two_pass": {"shock_propagation": "two_pass"}}
+# The fallen dominoes lean on each other in a row and do not stack, so shock propagation is of no use.
+SETTINGS = {"shock_propagation": "off", "contact_iterations": 40}

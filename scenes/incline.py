@@ -9,7 +9,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, below, clearance, indices
+from warp_rigid.scenes.demo import ONE_PASS_2003, below, clearance, indices
 
 HALF = 0.05
 PLATFORM_HALF = (1.5, 0.5, 0.1)
@@ -48,7 +48,7 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     return scene
 
 
-class InclineOutcome:
+class Outcome:
     """Sliding distance, lift-off and penetration of the block."""
 
     def __init__(self, scene):
@@ -92,16 +92,11 @@ class InclineOutcome:
         ]
 
 
-DEMO = Demo(
-    name="incline",
-    summary="a bouncy but sticky block stays on a slope, if collisions precede the velocity update",
-    build=build,
-    outcome=InclineOutcome,
-    duration=5.0,
-    variants={
-        "default": {},
-        "one_pass": ONE_PASS_2003,
-        "no_contact": {"contact_iterations": 0, "shock_propagation": "off", "warm_starting": False},
-        "collisions_last": {**ONE_PASS_2003, "collision_first": False},
-    },
-)
+SUMMARY = "a bouncy but sticky block stays on a slope, if collisions precede the velocity update"
+DURATION = 5.0
+VARIANTS = {
+    "default": {},
+    "one_pass": ONE_PASS_2003,
+    "no_contact": {"contact_iterations": 0, "shock_propagation": "off", "warm_starting": False},
+    "collisions_last": {**ONE_PASS_2003, "collision_first": False},
+}

@@ -8,7 +8,7 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, stacks
-from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, below, indices
+from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Verdict, below, indices
 
 HALF = float(stacks.CUBE.half_extents[2])
 PLATFORM_TOP = 0.5
@@ -32,7 +32,7 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     return scene
 
 
-class TowerOutcome:
+class Outcome:
     """Whether the tower stands or topples as statics demands."""
 
     def __init__(self, scene):
@@ -65,19 +65,14 @@ class TowerOutcome:
         return [replace(verdict, expected=expected)]
 
 
-DEMO = Demo(
-    name="leaning_tower",
-    summary="a tower of boxes that leans too far must topple; the one-pass method of 2003 keeps it standing",
-    build=build,
-    outcome=TowerOutcome,
-    duration=4.0,
-    variants={
-        "default": {},
-        "off": OFF_2003,
-        "one_pass": ONE_PASS_2003,
-        "two_pass": {"shock_propagation": "two_pass", "warm_starting": False},
-    },
-    # One pass keeps the tower standing only without warm starting, as in 2003. Without shock propagation ten boxes
-    # need warm starting and more iterations than the default for their contacts to hold.
-    goes_with={"shock_propagation": {"one_pass": {"warm_starting": False}, "off": {"contact_iterations": 40}}},
-)
+SUMMARY = "a tower of boxes that leans too far must topple; the one-pass method of 2003 keeps it standing"
+DURATION = 4.0
+VARIANTS = {
+    "default": {},
+    "off": OFF_2003,
+    "one_pass": ONE_PASS_2003,
+    "two_pass": {"shock_propagation": "two_pass", "warm_starting": False},
+}
+# One pass keeps the tower standing only without warm starting, as in 2003. Without shock propagation ten boxes
+# need warm starting and more iterations than the default for their contacts to hold.
+GOES_WITH = {"shock_propagation": {"one_pass": {"warm_starting": False}, "off": {"contact_iterations": 40}}}

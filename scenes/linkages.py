@@ -10,7 +10,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import PrismaticJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
-from warp_rigid.scenes.demo import Demo, below, indices
+from warp_rigid.scenes.demo import below, indices
 
 CRANK, COUPLER, ROCKER, BASE = 0.3, 0.9, 0.7, 1.0
 ROD, AWAY = 0.8, 2.0
@@ -71,7 +71,7 @@ def _drive(scene, joint, speed):
     scene.add_drive(joint, damping=1e4, target_velocity=speed)
 
 
-class LinkageOutcome:
+class Outcome:
     """Distance of the coupler and of the slider from their closed forms, for the angles of the cranks."""
 
     def __init__(self, scene):
@@ -109,10 +109,5 @@ def _largest(before, difference):
     return now if before is None else np.maximum(before, now)
 
 
-DEMO = Demo(
-    name="linkages",
-    summary="a four-bar linkage and a slider-crank turn; both follow their closed forms",
-    build=build,
-    outcome=LinkageOutcome,
-    duration=4.0,
-)
+SUMMARY = "a four-bar linkage and a slider-crank turn; both follow their closed forms"
+DURATION = 4.0

@@ -8,7 +8,7 @@ from warp_rigid.checks import number_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, screw_threads
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices
+from warp_rigid.scenes.demo import OverlapOutcome, Verdict, below, indices
 
 THREAD = screw_threads.Thread()
 LENGTH, NUT_HEIGHT, HEAD_HEIGHT, ACROSS_FLATS = 0.14, 0.06, 0.04, 0.12
@@ -56,7 +56,7 @@ def acceleration(friction: float, inertia: float) -> float:
     return 9.81 * k / (k + inertia * carrying / (THREAD.mean_radius * turning)) if turning > 0.0 else 0.0
 
 
-class NutOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Whether the nut turns down or is held, how well it follows the thread, and how fast."""
 
     def __init__(self, scene):
@@ -114,10 +114,5 @@ class NutOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="nut_and_bolt",
-    summary="a nut turns down a bolt by its weight, unless friction locks the thread",
-    build=build,
-    outcome=NutOutcome,
-    duration=2.0,
-)
+SUMMARY = "a nut turns down a bolt by its weight, unless friction locks the thread"
+DURATION = 2.0

@@ -7,7 +7,7 @@ from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.joints import FixedJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Plane
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, below, rest_verdict
+from warp_rigid.scenes.demo import OverlapOutcome, below, rest_verdict
 
 HALF = 0.1
 CELLS = [(x, y, z) for x in range(3) for y in range(2) for z in range(2)]
@@ -36,7 +36,7 @@ def build(drop: float = 0.3) -> Scene:
     return scene
 
 
-class PalletOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """How far boxes move relative to the first one."""
 
     prefix = "box_"
@@ -67,10 +67,5 @@ class PalletOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="pallet",
-    summary="twelve welded boxes fall on the ground and keep their common shape",
-    build=build,
-    outcome=PalletOutcome,
-    duration=3.0,
-)
+SUMMARY = "twelve welded boxes fall on the ground and keep their common shape"
+DURATION = 3.0

@@ -12,7 +12,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import SOUND, Demo, OverlapOutcome, Verdict, vary_starts
+from warp_rigid.scenes.demo import SOUND, OverlapOutcome, Verdict, vary_starts
 
 PLANET_RADIUS = 5.0
 FACETS = 4
@@ -71,7 +71,7 @@ def _shell(count, radius, rng):
     return points @ turn
 
 
-class PlanetOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Whether the bodies settled on all sides of the planet."""
 
     def verdicts(self, sim):
@@ -89,11 +89,6 @@ class PlanetOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="planet",
-    summary="bodies fall from all sides on a small planet and settle all around it",
-    build=build,
-    outcome=PlanetOutcome,
-    duration=8.0,
-    vary=vary_starts("body_", starts),
-)
+SUMMARY = "bodies fall from all sides on a small planet and settle all around it"
+DURATION = 8.0
+vary = vary_starts("body_", starts)

@@ -9,7 +9,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
-from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, below, clearance, indices
+from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Verdict, below, clearance, indices
 
 BASE_HALF = (1.0, 0.25, 0.5)
 PLANK_HALF = (1.25, 0.3, 0.05)
@@ -41,7 +41,7 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
     return scene
 
 
-class LaunchOutcome:
+class Outcome:
     """Height of the small boxes' flight, and penetration of the plank into the base."""
 
     def __init__(self, scene):
@@ -77,11 +77,6 @@ class LaunchOutcome:
         return verdicts
 
 
-DEMO = Demo(
-    name="plank_launch",
-    summary="a large box falls on one end of a plank and launches small boxes from the other",
-    build=build,
-    outcome=LaunchOutcome,
-    duration=3.0,
-    variants={"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003},
-)
+SUMMARY = "a large box falls on one end of a plank and launches small boxes from the other"
+DURATION = 3.0
+VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003}

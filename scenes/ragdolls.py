@@ -6,7 +6,7 @@ from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.builders.jointed import ROLLING, ClosedJointsOutcome, add_ragdoll
-from warp_rigid.scenes.demo import Demo, below, rest_verdict
+from warp_rigid.scenes.demo import below, rest_verdict
 
 WIDTH = 3.0
 STANDING = 1.05
@@ -32,7 +32,7 @@ def build(dolls: int = 4) -> Scene:
     return scene
 
 
-class RagdollOutcome(ClosedJointsOutcome):
+class Outcome(ClosedJointsOutcome):
     """How far joints open, whether any body leaves the pit, and rest."""
 
     def __init__(self, scene):
@@ -53,10 +53,5 @@ class RagdollOutcome(ClosedJointsOutcome):
         ]
 
 
-DEMO = Demo(
-    name="ragdolls",
-    summary="ragdolls fall into a pit and come to rest; no joint opens and none escapes",
-    build=build,
-    outcome=RagdollOutcome,
-    duration=5.0,
-)
+SUMMARY = "ragdolls fall into a pit and come to rest; no joint opens and none escapes"
+DURATION = 5.0

@@ -16,7 +16,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Cylinder
 from warp_rigid.scenes.builders import assortment, grounds, meshes
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, Demo, OverlapOutcome, Verdict, indices, start_apart
+from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, OverlapOutcome, Verdict, indices, start_apart
 
 MASS = 10.0
 SURFACE: dict[str, Any] = {"friction": 0.6, "restitution": 0.3}
@@ -112,7 +112,7 @@ def threaded(position, orientation, feet) -> np.ndarray:
     return inside.any(axis=-1).sum(axis=1)
 
 
-class RingsOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Number of rings on poles, and whether none is lost and none overlaps another."""
 
     prefix = "ring_"
@@ -144,12 +144,6 @@ def vary(sim, rings, poles, seed, **_):
     start_apart(sim, indices(sim.scene, "ring_"), lambda env: starts(rings, _side(poles), seed + env))
 
 
-DEMO = Demo(
-    name="rings_on_poles",
-    summary="rings fall on a field of poles, thread, lean and interlock",
-    build=build,
-    outcome=RingsOutcome,
-    duration=8.0,
-    variants={"default": {}, "one_pass": ONE_PASS_2003},
-    vary=vary,
-)
+SUMMARY = "rings fall on a field of poles, thread, lean and interlock"
+DURATION = 8.0
+VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}

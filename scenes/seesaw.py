@@ -10,7 +10,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, indices
+from warp_rigid.scenes.demo import ONE_PASS_2003, Verdict, indices
 
 PIVOT_HEIGHT = 0.35
 PLANK_HALF = (1.2, 0.25, 0.04)
@@ -66,7 +66,7 @@ def _add_turning(scene, name, half_extents, place, mass, friction):
     )
 
 
-class SeesawOutcome:
+class Outcome:
     """The plank's largest tilt to the right, and the largest tilt to the left after that."""
 
     def __init__(self, scene):
@@ -103,11 +103,6 @@ class SeesawOutcome:
         ]
 
 
-DEMO = Demo(
-    name="seesaw",
-    summary="the large block tips the seesaw and slides off, then the small one tips it back",
-    build=build,
-    outcome=SeesawOutcome,
-    duration=4.0,
-    variants={"default": {}, "one_pass": ONE_PASS_2003, "no_contact": {**ONE_PASS_2003, "contact_iterations": 0}},
-)
+SUMMARY = "the large block tips the seesaw and slides off, then the small one tips it back"
+DURATION = 4.0
+VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003, "no_contact": {**ONE_PASS_2003, "contact_iterations": 0}}

@@ -12,7 +12,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import assortment, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, outside, vary_starts
+from warp_rigid.scenes.demo import OverlapOutcome, Verdict, outside, vary_starts
 
 RADIUS = 0.2
 PITCH = 0.6
@@ -62,7 +62,7 @@ def _side(bodies):
     return math.ceil((2.0 * bodies) ** (1.0 / 3.0))
 
 
-class RainOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Whether all bodies rest on the slab and none overlaps another."""
 
     def verdicts(self, sim):
@@ -74,11 +74,6 @@ class RainOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="showcase",
-    summary="random convex bodies fall on a fixed slab and come to rest",
-    build=build,
-    outcome=RainOutcome,
-    duration=4.0,
-    vary=vary_starts("body_", starts),
-)
+SUMMARY = "random convex bodies fall on a fixed slab and come to rest"
+DURATION = 4.0
+vary = vary_starts("body_", starts)

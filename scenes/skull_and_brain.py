@@ -11,7 +11,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Mesh
 from warp_rigid.scenes.builders import grounds, meshes
-from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, OverlapOutcome, below, clearance, indices, rest_verdict
+from warp_rigid.scenes.demo import ONE_PASS_2003, OverlapOutcome, below, clearance, indices, rest_verdict
 
 SKULL_SIZE = 0.25
 BRAIN_SIZE = 0.18
@@ -87,7 +87,7 @@ def _own(parameter, path, size):
         raise ValueError(f"{parameter}: {error}") from None
 
 
-class MeetingOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Whether skull and brain come to rest in contact with each other, without overlap."""
 
     def __init__(self, scene):
@@ -110,11 +110,6 @@ class MeetingOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="skull_and_brain",
-    summary="an open skull and then a brain fall on a platform, collide, bounce and settle",
-    build=build,
-    outcome=MeetingOutcome,
-    duration=6.0,
-    variants={"default": {}, "one_pass": ONE_PASS_2003},
-)
+SUMMARY = "an open skull and then a brain fall on a platform, collide, bounce and settle"
+DURATION = 6.0
+VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}

@@ -10,7 +10,7 @@ from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, indices
+from warp_rigid.scenes.demo import ONE_PASS_2003, Verdict, indices
 
 GRAVITY = 9.81
 SIZES = {"small": 0.07, "medium": 0.1, "large": 0.13}
@@ -100,7 +100,7 @@ def arm_path(parcels: int, speed: float, friction: float) -> PosePath:
     )
 
 
-class SortingOutcome:
+class Outcome:
     """Parcels in their bins, their way on the belt, and their speed along the arm."""
 
     def __init__(self, scene):
@@ -150,11 +150,6 @@ class SortingOutcome:
         return found
 
 
-DEMO = Demo(
-    name="sorting_line",
-    summary="a belt carries parcels, and an arm on a path sends the large ones into another bin",
-    build=build,
-    outcome=SortingOutcome,
-    duration=8.0,
-    variants={"default": {}, "one_pass": ONE_PASS_2003},
-)
+SUMMARY = "a belt carries parcels, and an arm on a path sends the large ones into another bin"
+DURATION = 8.0
+VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}

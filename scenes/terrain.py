@@ -11,7 +11,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, above_heightfield, below, vary_starts
+from warp_rigid.scenes.demo import OverlapOutcome, Verdict, above_heightfield, below, vary_starts
 
 EXTENT = 20.0
 VERTICES = 81
@@ -62,7 +62,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return position, rotations.random(rng, bodies)
 
 
-class SlideOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Whether all bodies stay above the terrain and their energy never increases."""
 
     def __init__(self, scene):
@@ -97,11 +97,6 @@ class SlideOutcome(OverlapOutcome):
         ]
 
 
-DEMO = Demo(
-    name="terrain",
-    summary="bodies slide without friction over a concave terrain",
-    build=build,
-    outcome=SlideOutcome,
-    duration=5.0,
-    vary=vary_starts("body_", starts),
-)
+SUMMARY = "bodies slide without friction over a concave terrain"
+DURATION = 5.0
+vary = vary_starts("body_", starts)

@@ -11,7 +11,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Mesh, Sphere
 from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices
+from warp_rigid.scenes.demo import OverlapOutcome, Verdict, below, indices
 
 HALF = 0.1
 ROW_DISTANCE = 0.5
@@ -62,7 +62,7 @@ def _directions():
     return (np.array([0.0, math.cos(SLOPE), -math.sin(SLOPE)]), np.array([0.0, math.sin(SLOPE), math.cos(SLOPE)]))
 
 
-class WreckOutcome(OverlapOutcome):
+class Outcome(OverlapOutcome):
     """Drift of the pyramids before the hit, speed of the ball on the ramp, and the collapse."""
 
     prefix = "cube_"
@@ -113,10 +113,5 @@ class WreckOutcome(OverlapOutcome):
         return verdicts
 
 
-DEMO = Demo(
-    name="wrecking_ball",
-    summary="a ball rolls down a ramp and breaks pyramids that have stood still",
-    build=build,
-    outcome=WreckOutcome,
-    duration=5.0,
-)
+SUMMARY = "a ball rolls down a ramp and breaks pyramids that have stood still"
+DURATION = 5.0

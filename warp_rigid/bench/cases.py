@@ -32,9 +32,6 @@ MARGIN = 0.05
 PYRAMID_HALF, PYRAMID_FRICTION, PYRAMID_DENSITY = 0.5, 0.6, 100.0
 """Half of the width of a cube of the pyramid [m], friction and density, as in Box3D's benchmark large_pyramid."""
 
-Starts = tuple[np.ndarray, np.ndarray]
-"""Positions (bodies, 3) [m] and orientations (bodies, 4) of the dynamic bodies."""
-
 
 @dataclass(frozen=True)
 class BenchmarkScene:
@@ -44,19 +41,16 @@ class BenchmarkScene:
         build: function(bodies) -> Scene; the start is that of environment 0.
         half_width: function(bodies) -> horizontal distance beyond which a body has escaped [m]: along x or y from the
             z axis, or from its place at rest where that is known; None if the scene does not say where bodies belong.
-        starts: function(bodies, env) -> starts of an environment; None if all environments start alike.
-        vary: function(sim) that gives several environments different starts; None if `starts` does.
+        vary: function(sim, bodies) that gives environments different starts, or different targets of their drives;
+            None if they start alike.
         rest: function(bodies) -> (bodies, 3) positions of the bodies at rest [m]; None where they are not known.
-        targets: function(bodies, env) -> (joints,) target positions of the drives; None if there are no drives.
         max_bodies: largest number of bodies.
     """
 
     build: Callable[[int], Scene]
     half_width: Callable[[int], float] | None
-    starts: Callable[[int, int], Starts] | None = None
+    vary: Callable[[Simulator, int], None] | None = None
     rest: Callable[[int], np.ndarray] | None = None
-    targets: Callable[[int, int], np.ndarray] | None = None
-    vary: Callable[[Simulator], None] | None = None
     max_bodies: int = piles.MOST_BODIES
 
 
@@ -92,14 +86,8 @@ class BenchmarkCase:
 
     def scatter(self, sim: Simulator) -> None:
         """Give each environment a different start, or different targets of its drives, where the scene has several."""
-        scene = self.scene
-        if scene.vary is not None and sim.num_envs > 1:
-            scene.vary(sim)
-        if scene.starts is not None:
-            start_apart(sim, moving(sim.scene), partial(scene.starts, self.bodies))
-        if scene.targets is not None:
-            of_env = [scene.targets(self.bodies, env) for env in range(sim.num_envs)]
-            sim.set("joint_target_position", np.array(of_env))
+        if self.scene.vary is not None:
+            self.scene.vary(sim, self.bodies)
 
     def escaped(self, position: np.ndarray) -> int:
         """Number of bodies outside the region that the scene allows; a position that is not finite counts as outside.
@@ -154,7 +142,11 @@ def find_case(text: str) -> BenchmarkCase:
 def _row_of_demo(name: str) -> BenchmarkScene:
     """A built-in scene, or one from a user's file, with its default parameters."""
     demo = find_scene(name)
-    vary = None if demo.vary is None else partial(demo.vary, **demo.parameters)
+
+    def vary(sim: Simulator, _: int) -> None:
+        if demo.vary is not None and sim.num_envs > 1:
+            demo.vary(sim, **demo.parameters)
+
     return BenchmarkScene(lambda _: demo.build(), half_width=None, vary=vary)
 
 
@@ -188,16 +180,23 @@ def _add_bricks(scene: Scene, bricks: int, **surface: Any) -> None:
     add_bodies(scene, Box(stacks.BRICK), *stacks.brick_tower(bricks), **surface)
 
 
-def _pile_starts(bodies: int, env: int) -> Starts:
-    return piles.starts(bodies, FIRST_SEED + env)
+def _apart(starts: Callable[[int, int], tuple[np.ndarray, ...]]) -> Callable[[Simulator, int], None]:
+    """A `vary` by the starts (positions, orientations) for a number of bodies and an environment."""
+    return lambda sim, bodies: start_apart(sim, moving(sim.scene), partial(starts, bodies))
+
+
+def _vary_arm(sim: Simulator, links: int) -> None:
+    targets = [arms.targets(links, FIRST_SEED + env) for env in range(sim.num_envs)]
+    sim.set("joint_target_position", np.array(targets))
 
 
 def _pile_of(shape: Callable[[], Shape]) -> BenchmarkScene:
     def add(scene: Scene, bodies: int, friction: float, density: float) -> None:
         piles.add_pile_bin(scene, bodies, friction=friction)
-        add_bodies(scene, shape(), *_pile_starts(bodies, 0), density=density, friction=friction)
+        add_bodies(scene, shape(), *piles.starts(bodies, FIRST_SEED), density=density, friction=friction)
 
-    return BenchmarkScene(_on_ground(add), lambda bodies: piles.inner_half(bodies) + MARGIN, _pile_starts)
+    starts = _apart(lambda bodies, env: piles.starts(bodies, FIRST_SEED + env))
+    return BenchmarkScene(_on_ground(add), lambda bodies: piles.inner_half(bodies) + MARGIN, starts)
 
 
 def _poles_a_side(rings: int) -> int:
@@ -215,7 +214,7 @@ SCENES: dict[str, BenchmarkScene] = {
     "rings": BenchmarkScene(
         lambda rings: rings_on_poles.build(rings, _poles_a_side(rings) ** 2),
         half_width=lambda rings: rings_on_poles.LOST * rings_on_poles.CYLINDER_A_SIDE * _poles_a_side(rings),
-        starts=lambda rings, env: rings_on_poles.starts(rings, _poles_a_side(rings), env),
+        vary=_apart(lambda rings, env: rings_on_poles.starts(rings, _poles_a_side(rings), env)),
         max_bodies=2000,
     ),
     "pyramid": BenchmarkScene(
@@ -231,7 +230,7 @@ SCENES: dict[str, BenchmarkScene] = {
     "arm": BenchmarkScene(
         _on_ground(arms.add_arm),
         half_width=lambda links: arms.PITCH * links + MARGIN,
-        targets=lambda links, env: arms.targets(links, FIRST_SEED + env),
+        vary=_vary_arm,
         max_bodies=100,
     ),
 }

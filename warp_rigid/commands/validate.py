@@ -38,7 +38,7 @@ def validate_command(
     1: a check failed (FAIL) or could not be evaluated (ERROR). 2: invalid input.
     6: a check that is listed as a known miss is within its tolerance (MET).
     """
-    from warp_rigid.validation import report, suite
+    from warp_rigid.validation import figures, report, suite
 
     devices = [str(choose_device(name)) for name in device] if device else [str(d) for d in wp.get_devices()]
     if compare_shock:
@@ -48,10 +48,22 @@ def validate_command(
     cases = suite.all_cases(quick)
     if names:
         cases = suite.choose(cases, [name.strip() for name in names.split(",")])
-    writer = _Writer(output) if output else None
+    folder = Path(output) if output else None
+    if folder:
+        check_outputs(None, {"overview.png": (".png",)})
+        folder.mkdir(parents=True, exist_ok=True)
+    files: list[str] = []
+    done = itertools.count(1)
     with progress("validate", len(cases) * len(devices)) as advance:
-        findings = suite.run_suite(cases, devices, _Watcher(writer, advance))
-    files = writer.finish(findings, devices) if writer else []
+
+        def on_case(case: Any, device: str, subject: Any, _: Any) -> None:
+            # A case is drawn when it is done, so that its traces can be released.
+            if folder and case.curve and subject is not None:
+                files.append(str(figures.save_case(case, device, subject, folder)))
+            advance(next(done))
+
+        findings = suite.run_suite(cases, devices, on_case)
+    files += _write(findings, devices, folder) if folder else []
     if as_json:
         print(json.dumps({**report.as_json(findings, devices), "files": files}))
     else:
@@ -86,44 +98,14 @@ def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
     return 0
 
 
-class _Watcher:
-    """Updates the progress bar and draws the plot of each finished case, so that its trace can be released."""
+def _write(findings: list[Any], devices: list[str], folder: Path) -> list[str]:
+    """Write the overview, the table and the results; returns their paths."""
+    from warp_rigid.validation import figures, report
 
-    def __init__(self, writer: "_Writer | None", advance):
-        self.writer, self.advance, self.done = writer, advance, 0
-
-    def __call__(self, case, device: str, subject: Any, _) -> None:
-        self.done += 1
-        if self.writer and case.curve and subject is not None:
-            self.writer.draw(case, device, subject)
-        self.advance(self.done)
-
-
-class _Writer:
-    """Writes the files of a run."""
-
-    def __init__(self, folder: str):
-        self.folder = Path(folder)
-        check_outputs(None, {"overview.png": (".png",)})
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self.files: list[str] = []
-
-    def draw(self, case, device: str, traces) -> None:
-        from warp_rigid.validation import figures
-
-        self.files.append(str(figures.save_case(case, device, traces, self.folder)))
-
-    def finish(self, findings, devices) -> list[str]:
-        """Write the overview, the table and the results; returns the paths of all files."""
-        from warp_rigid.validation import figures, report
-
-        self.files.append(str(figures.save_overview(findings, self.folder)))
-        texts = {
-            "table.md": report.markdown(findings),
-            "results.json": json.dumps(report.as_json(findings, devices), indent=1),
-        }
-        for name, text in texts.items():
-            with atomic_file(self.folder / name) as temporary:
-                temporary.write_text(text)
-            self.files.append(str(self.folder / name))
-        return self.files
+    files = [str(figures.save_overview(findings, folder))]
+    results = json.dumps(report.as_json(findings, devices), indent=1)
+    for name, text in {"table.md": report.markdown(findings), "results.json": results}.items():
+        with atomic_file(folder / name) as temporary:
+            temporary.write_text(text)
+        files.append(str(folder / name))
+    return files

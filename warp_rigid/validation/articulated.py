@@ -109,8 +109,8 @@ def pendulums(duration: float) -> ValidationCase:
 def chain(links: int, duration: float) -> ValidationCase:
     """A chain that swings with a ball a thousand times heavier than a link."""
     experiment = Experiment(partial(scenes.load, "chain", links=links), duration, every=4)
-    checks = (below("largest gap of a joint", opened, 1e-4),)
-    return case("V91", f"Chain of {links} links, 1000 : 1", "closed joints", *checks, of=experiment)
+    gap = below("largest gap of a joint", opened, 1e-4)
+    return case("V91", f"Chain of {links} links, 1000 : 1", "closed joints", gap, of=experiment)
 
 
 def pallet(duration: float) -> ValidationCase:
@@ -129,13 +129,8 @@ def pallet(duration: float) -> ValidationCase:
 
 def crane(duration: float) -> ValidationCase:
     """A crane lifts the upper box of a pile: the others must not move."""
-
-    def others(trace):
-        return displaced(trace, slice(1, 6))
-
-    experiment = Experiment(partial(scenes.load, "crane"), duration)
-    checks = (below("displacement of the other boxes", others, 1e-4),)
-    return case("V93", "Crane", "bodies at rest", *checks, of=experiment)
+    others = below("displacement of the other boxes", partial(displaced, bodies=slice(1, 6)), 1e-4)
+    return case("V93", "Crane", "bodies at rest", others, of=Experiment(partial(scenes.load, "crane"), duration))
 
 
 def bridge(planks: int, duration: float) -> ValidationCase:

@@ -80,9 +80,6 @@ def polyhedra():
     table = exact_solids()
     names = tuple(table)
 
-    def compute(_):
-        return [Mesh(*table[name][0]) for name in names]
-
     def center_error(shapes):
         return [np.abs(mesh.center_of_mass - table[name][2]).max() for mesh, name in zip(shapes, names, strict=True)]
 
@@ -97,7 +94,7 @@ def polyhedra():
         Check("volume", "m^3", lambda s: [m.volume for m in s], relative(1e-6), [table[n][1] for n in names]),
         Check("error of the centre of mass", "m", center_error, at_most(1e-6)),
         Check("inertia error relative to the largest entry", "", inertia_error, at_most(1e-6)),
-        compute=compute,
+        compute=lambda _: [Mesh(*table[name][0]) for name in names],
         labels=names,
         on_device=False,
     )
@@ -128,9 +125,6 @@ def torus():
     def values(shape):
         return np.array([shape.volume, shape.inertia[0, 0], shape.inertia[2, 2]])
 
-    def compute(_):
-        return [meshes.torus(major, minor, segments=segments) for segments in fine]
-
     def order(shapes):
         errors = np.array([np.abs(values(shape) - smooth) for shape in shapes])
         return np.log2(errors[:-1] / errors[1:]).ravel()
@@ -144,7 +138,7 @@ def torus():
         "closed forms of the polyhedron and of the torus",
         Check("64 x 32 mesh", "m^3 or m^5", lambda s: values(s[1]), relative(1e-6), exact, labels=names),
         Check("order of convergence", "", order, absolute(0.05), 2.0, labels=steps),
-        compute=compute,
+        compute=lambda _: [meshes.torus(major, minor, segments=segments) for segments in fine],
         on_device=False,
     )
 
@@ -208,7 +202,10 @@ def sphere_distance(cells, count, frequency):
         return np.array(rows)
 
     names = tuple(f"{n} cells" for n in cells)
-    checks = [
+    return case(
+        "V05",
+        "distance grid of a sphere, R 0.5",
+        "bound of trilinear interpolation, h^2 / (4 r), and the mesh's sag",
         Check("largest error within 3 cells", "m", lambda s: s[:, 0], at_most(0.0), lambda s: s[:, 1]),
         Check(
             "largest error of the normals of contacts, h = R / 32",
@@ -217,12 +214,6 @@ def sphere_distance(cells, count, frequency):
             at_most(1.0),
             labels=(f"{FINE} cells",),
         ),
-    ]
-    return case(
-        "V05",
-        "distance grid of a sphere, R 0.5",
-        "bound of trilinear interpolation, h^2 / (4 r), and the mesh's sag",
-        *tuple(checks),
         compute=compute,
         labels=names,
     )
@@ -280,9 +271,6 @@ def eikonal(count):
     }
     both = smooth | creased
 
-    def compute(device):
-        return {name: shares(make(), device) for name, make in both.items()}
-
     def shares(mesh, device):
         grid = grid_on(device, mesh, mesh.sdf_resolution)
         upper = np.array(grid.origin) + grid.spacing * (np.array(grid.values.shape) - 1)
@@ -309,7 +297,7 @@ def eikonal(count):
         "eikonal equation",
         check("share of gradients of grids of length 1 +- 0.05 within 3 cells", smooth, 0),
         check("share of slopes of contacts of 1 +- 0.05 within a cell", both, 1),
-        compute=compute,
+        compute=lambda device: {name: shares(make(), device) for name, make in both.items()},
     )
 
 
@@ -333,16 +321,13 @@ def signs(count):
         inside = solids.winding(points, vertices[faces]) > 0.5
         return int(((distance < 0) != inside)[np.abs(distance) > 1e-6].sum())
 
-    def compute(device):
-        return [wrong(*sharp[name], simple, device) for name in sharp for simple in (True, False)]
-
     rules = tuple(f"{name}, {rule}" for name in sharp for rule in ("pseudonormals", "winding number"))
     return case(
         "V07",
         f"sign at sharp features, {count} points around each mesh",
         "winding number in float64; Baerentzen and Aanaes 2005",
         Check("points with the wrong sign", "", np.asarray, absolute(0.0)),
-        compute=compute,
+        compute=lambda device: [wrong(*sharp[name], simple, device) for name in sharp for simple in (True, False)],
         labels=rules,
     )
 

@@ -112,16 +112,10 @@ def stop_checks(bodies, experiments):
 
     labels = [f"{one.label}, {variant}" if one.label else variant for one in experiments for variant in one.variants]
 
-    def measure(k):
-        return each(lambda t: stops(t)[k])
+    def check(name, unit, k):
+        return Check(name, unit, each(lambda t: stops(t)[k]), relative(0.02), lambda _: exact()[k], labels=labels)
 
-    def reference(k):
-        return lambda _: exact()[k]
-
-    return tuple(
-        Check(name, unit, measure(k), relative(0.02), reference(k), labels=labels)
-        for k, (name, unit) in enumerate(kinds)
-    )
+    return tuple(check(*kind, k) for k, kind in enumerate(kinds))
 
 
 def rings(counts):

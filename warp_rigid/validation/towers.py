@@ -63,7 +63,7 @@ def stack_scene(count: int, half: float = HALF, friction: float = 0.5) -> Scene:
 def pyramid_scene(rows: int) -> Scene:
     """A pyramid of cubes of 0.2 m on level ground."""
     scene = level_scene()
-    add_bodies(scene, stacks.CUBE, stacks.pyramid(rows))
+    add_bodies(scene, Box((HALF,) * 3), stacks.pyramid(rows))
     return scene
 
 

@@ -177,9 +177,6 @@ def inside_any(parts, points) -> np.ndarray:
 def unions(names):
     """Mass properties and sign of a mesh of shells that overlap, against points inside any of them."""
 
-    def compute(_):
-        return [compare(PARTS[name]()) for name in names]
-
     def compare(parts):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that they were joined
@@ -205,7 +202,7 @@ def unions(names):
         Check("volume", "m^3", lambda s: [row[0] for row in s], relative(0.01), lambda s: [row[1] for row in s]),
         Check("inertia error relative to the largest entry", "", lambda s: [row[2] for row in s], at_most(0.01)),
         Check("points with the wrong sign", "", lambda s: [row[3] for row in s], absolute(0)),
-        compute=compute,
+        compute=lambda _: [compare(PARTS[name]()) for name in names],
         labels=names,
         on_device=False,
     )
