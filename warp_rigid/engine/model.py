@@ -13,8 +13,8 @@ from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import ccd
 from warp_rigid.kernels.enums import OutOfBounds
-from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.body_columns import column, is_dynamic, shapes_of
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import COMBINE_RULES, SURFACE_VELOCITIES, Body, Motion, Scene
 from warp_rigid.scene.shapes import Shape
