@@ -121,6 +121,8 @@ BAD = [
     ("position", (1, 2)),
     ("position", (1, 2, math.nan)),
     ("position", (1, 2, 1e39)),
+    ("position", (1.0, 2, 10**400)),
+    ("position", np.array([1.0, np.nan, 2.0])),
     ("position", "abc"),
     ("position", (1, 2, "3")),
     ("position", [[1, 2, 3]]),

@@ -288,7 +288,7 @@ def test_growing_pools_change_nothing(device, chunks):
     for chunk in chunks:
         grown.step(chunk)
         capacities.add(grown.counts()["contact_capacity"])
-    assert len(capacities) == min(3, len(chunks))
+    assert len(capacities) == min(2, len(chunks)), "it grows ahead of what the first steps found, then again"
     assert snapshot(grown) == snapshot(roomy)
     assert grown.contacts().tobytes() == roomy.contacts().tobytes()
     assert grown.counts()["contact_capacity"] >= grown.counts()["most_contacts"] > 20

@@ -63,13 +63,13 @@ def finite_vector(name, value, length=3):
     Raises:
         ValueError: The value is not `length` finite numbers.
     """
-    if type(value) is np.ndarray and value.shape == (length,):
-        value = value.tolist()
-    if type(value) in (tuple, list) and len(value) == length:
-        kinds = set(map(type, value))
-        if kinds <= _PLAIN and math.hypot(*value) <= EXACT:
-            # A tuple of floats is shared, as by the many bodies at rest.
-            return value if type(value) is tuple and kinds == {float} else tuple(map(float, value))
+    given = value.tolist() if type(value) is np.ndarray and value.shape == (length,) else value
+    if type(given) in (tuple, list) and len(given) == length:
+        kinds = set(map(type, given))
+        if kinds == {float} and math.hypot(*given) <= EXACT:
+            return tuple(given)  # a tuple is shared, as by the many bodies at rest
+        if kinds <= _PLAIN and all(-EXACT <= x <= EXACT for x in given):
+            return tuple(map(float, given))
     array = numbers_of(value)
     ok = array is not None and array.shape == (length,)
     if not (ok and bool((np.abs(array) <= LARGEST).all())):

@@ -86,7 +86,7 @@ def _declare(default: float, **declaration: Any) -> Any:
     return field(default=default, metadata={"default": default, **declaration})
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True)
 class Coefficients:
     """Coefficients of one body, checked. `CoefficientKeywords` has the same names.
 

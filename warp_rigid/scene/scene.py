@@ -46,7 +46,7 @@ LIGHTEST, HEAVIEST = 1e-17, 1e15
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Body(Coefficients):
     """One body of a scene, with the attributes of Coefficients in addition to these.
 
