@@ -13,6 +13,8 @@ SMALL = {
     "terrain": ["bodies=6"],
     "carpet": ["bodies=8"],
     "planet": ["bodies=32"],
+    "rings_on_poles": ["rings=6"],
+    "bone_pile": ["bones=8"],
     "demolition": ["rows=5", "columns=6"],
 }
 """What makes the larger scenes quick enough here."""
