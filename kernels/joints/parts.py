@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MOST_PARTS = wp.constant(64)
 """Maximum number of parts. Vibrations that are faster are slowed, and faster turns lose energy."""
 
-LARGEST_TURN = wp.constant(0.07)
+LARGEST_TURN = wp.constant(0.1)
 """Angle by which links turn in a part, at most [rad]. Where the length of the parts changes, the energy changes by a
 twelfth of the square of this angle."""
 
@@ -55,32 +55,23 @@ def turning_of(j: int, bodies: Bodies, motions: Motions, joints: Joints):
 def parts_needed(m: int, dt: float, team: Team, bodies: Bodies, motions: Motions, joints: Joints):
     """Number of parts that resolve the vibrations of links under the forces of the last step, and their turns.
 
-    The turns are those in the middle of the step, which a motion and its reverse have in common: where the motion slows
-    down again, the length of the parts then returns at the mirrored pose, and so does the energy.
+    It decreases by half or not at all.
     """
-    last = joints.turning[m]
-    before = joints.parts[m]
     ratio = float(0.0)
-    fastest = float(0.0)
+    turn = float(0.0)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         j = joints.sequence[place]
         if present_rows(j, motions, joints) != 0 or has_coordinate(j, motions, joints):
-            fastest = wp.max(fastest, turning_of(j, bodies, motions, joints))
+            turn = wp.max(turn, dt * turning_of(j, bodies, motions, joints))
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         if motions.role[joints.member[i]] == Role.FREE:
             sums = vibrations_of(i, dt, 1, bodies, motions, joints)
             ratio = wp.max(ratio, float(wp.max(sums[2], sums[3])))
-    ratio = max_of_lanes(ratio, team.lanes)
-    fastest = max_of_lanes(fastest, team.lanes)
-    if team.lane == 0:
-        joints.turning[m] = fastest
-    turning = fastest
-    if before > 0:
-        # Velocities belong to the middle of the last part.
-        change = (0.5 + 0.5 / float(before)) * (fastest - last)
-        turning = fastest + wp.clamp(change, -fastest, fastest)
-    needed = wp.max(wp.sqrt(2.0 * ratio), dt * turning / LARGEST_TURN)
-    return wp.clamp(int(wp.ceil(needed)), 1, MOST_PARTS)
+    needed = max_of_lanes(wp.max(wp.sqrt(2.0 * ratio), turn / LARGEST_TURN), team.lanes)
+    parts = wp.clamp(int(wp.ceil(needed)), 1, MOST_PARTS)
+    if 2 * parts > joints.parts[m]:
+        parts = wp.max(parts, joints.parts[m])
+    return parts
 
 
 @wp.func
@@ -201,7 +192,7 @@ def finish_parts(
 @wp.func
 def move_in_parts(m: int, dt: float, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """Move a mechanism without contacts in as few parts as resolve its motion; in a single one where none do."""
-    begin_parts(m, team, state, motions, joints)
+    take_poses(m, team, state, joints)
     parts = int(parts_needed(m, dt, team, bodies, motions, joints))
     failed = int(1)
     while failed == 1 and parts <= MOST_PARTS:
