@@ -35,7 +35,7 @@ def build(angle: float = 0.5) -> Scene:
     return scene
 
 
-class Outcome:
+class CradleOutcome:
     """Speeds of all balls right after the first impact."""
 
     def __init__(self, scene):
@@ -63,4 +63,5 @@ class Outcome:
 
 
 SUMMARY = "Newton's cradle: the last ball flies off with the speed of the first"
+outcome = CradleOutcome
 DURATION = 2.0

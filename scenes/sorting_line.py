@@ -90,7 +90,7 @@ def arm_path(parcels: int, speed: float, friction: float) -> PosePath:
     )
 
 
-class Outcome:
+class SortingOutcome:
     """Parcels in their bins, their way on the belt, and their speed along the arm."""
 
     def __init__(self, scene):
@@ -141,5 +141,6 @@ class Outcome:
 
 
 SUMMARY = "a belt carries parcels, and an arm on a path sends the large ones into another bin"
+outcome = SortingOutcome
 DURATION = 8.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
