@@ -40,7 +40,7 @@ _NAMES = (
 )
 """Files of this folder, which are imported when they are needed.
 
-Each defines SUMMARY, DURATION, a function `build` and a class `Outcome`, and where it needs them VARIANTS, SETTINGS,
+Each defines SUMMARY, DURATION, `build` and `outcome`, and where it needs them VARIANTS, SETTINGS,
 GOES_WITH and the functions `events` and `vary`: the attributes of a Demo.
 """
 
@@ -69,7 +69,7 @@ def _demo(name: str) -> Demo:
         name,
         module.SUMMARY,
         module.build,
-        module.Outcome,
+        module.outcome,
         module.DURATION,
         getattr(module, "VARIANTS", {"default": {}}),
         getattr(module, "events", no_events),

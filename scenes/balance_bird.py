@@ -89,7 +89,7 @@ def _wing(start, end):
     return Box((0.5 * length, 0.022, 0.003)), tuple(0.5 * (start + end)), (-s * e, c * e, s * d, c * d)
 
 
-class Outcome:
+class BirdOutcome:
     """Whether the bird stays on the pedestal, and the period of its swing."""
 
     def __init__(self, scene):
@@ -144,4 +144,5 @@ def _period(times, angle):
 
 
 SUMMARY = "a bird balances on its beak and swings with the period of a pendulum"
+outcome = BirdOutcome
 DURATION = 5.0

@@ -105,7 +105,7 @@ def _funnel(bones):
     return Mesh(*tessellation.wheel(np.array(section), 48), sdf_resolution=128)
 
 
-class Outcome(OverlapOutcome):
+class BonesOutcome(OverlapOutcome):
     """Whether all bones fell through the funnel into the plot and none overlaps another."""
 
     prefix = "bone_"
@@ -124,6 +124,7 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "craniums, pelvises and femurs fall through a funnel into a walled plot"
+outcome = BonesOutcome
 DURATION = 4.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
 vary = vary_starts("bone_", starts)

@@ -55,7 +55,7 @@ def events(scene):
     return [(LAUNCH_TIME, launch)]
 
 
-class Outcome(OverlapOutcome):
+class StackOutcome(OverlapOutcome):
     """Accuracy of the stack before the hit, and its motion after the hit."""
 
     prefix = "box_"
@@ -106,6 +106,7 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "boxes fall into a stack on a platform, then a projectile knocks it over"
+outcome = StackOutcome
 DURATION = 10.0
 VARIANTS = {
     "default": {},

@@ -69,7 +69,7 @@ def _arc(planks):
     return np.stack([x, np.zeros_like(x), HEIGHT + z - z[0]], axis=1)
 
 
-class Outcome(ClosedJointsOutcome):
+class BridgeOutcome(ClosedJointsOutcome):
     """Sag of the bridge, gaps of its joints, and rest."""
 
     def __init__(self, scene):
@@ -96,4 +96,5 @@ class Outcome(ClosedJointsOutcome):
 
 
 SUMMARY = "a rope bridge of fifty planks carries a load a thousand times heavier than one of them"
+outcome = BridgeOutcome
 DURATION = 12.0

@@ -28,7 +28,7 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
     return scene
 
 
-class Outcome(OverlapOutcome):
+class PileOutcome(OverlapOutcome):
     """Whether all bunnies came to rest in the box and none overlaps another."""
 
     prefix = "bunny_"
@@ -46,6 +46,7 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "bunnies fall into an open box and settle"
+outcome = PileOutcome
 # A bunny that lands on its back may rock for seven seconds.
 DURATION = 10.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}

@@ -54,7 +54,7 @@ def starts(bodies: int, seed: int, amplitude: float) -> tuple[np.ndarray, np.nda
     return position + rng.uniform(-0.1, 0.1, (bodies, 3)), rotations.random(rng, bodies)
 
 
-class Outcome(OverlapOutcome):
+class CarpetOutcome(OverlapOutcome):
     """Height of the throws, mean speed, and whether a body passes through the ground."""
 
     def __init__(self, scene):
@@ -96,5 +96,6 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "a travelling wave of the ground throws and transports bodies"
+outcome = CarpetOutcome
 DURATION = 4.0
 vary = vary_starts("body_", starts)

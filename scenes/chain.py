@@ -44,7 +44,7 @@ def build(links: int = 100, ratio: float = 1000.0, speed: float = 1.0) -> Scene:
     return scene
 
 
-class Outcome(ClosedJointsOutcome):
+class ChainOutcome(ClosedJointsOutcome):
     """How far the joints open."""
 
     def verdicts(self, sim):
@@ -53,4 +53,5 @@ class Outcome(ClosedJointsOutcome):
 
 
 SUMMARY = "a hundred links carry a ball a thousand times heavier than one of them"
+outcome = ChainOutcome
 DURATION = 4.0

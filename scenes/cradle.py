@@ -36,7 +36,7 @@ def build(angle: float = 0.5) -> Scene:
     return scene
 
 
-class Outcome:
+class CradleOutcome:
     """Speeds of all balls right after the first impact."""
 
     def __init__(self, scene):
@@ -64,4 +64,5 @@ class Outcome:
 
 
 SUMMARY = "Newton's cradle: the last ball flies off with the speed of the first"
+outcome = CradleOutcome
 DURATION = 2.0

@@ -38,7 +38,7 @@ def build(speed: float = 0.25) -> Scene:
     return scene
 
 
-class Outcome:
+class CraneOutcome:
     """How far the box was lifted, and how far the others moved."""
 
     def __init__(self, scene):
@@ -67,4 +67,5 @@ class Outcome:
 
 
 SUMMARY = "a crane lifts the upper box from a pile without moving the others"
+outcome = CraneOutcome
 DURATION = 4.0

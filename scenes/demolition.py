@@ -60,7 +60,7 @@ def build(rows: int = 25, columns: int = 20, angle: float = 60.0) -> Scene:
     return scene
 
 
-class Outcome(ClosedJointsOutcome):
+class DemolitionOutcome(ClosedJointsOutcome):
     """Bricks that were displaced, and how far joints of the chain opened."""
 
     def __init__(self, scene):
@@ -82,4 +82,5 @@ class Outcome(ClosedJointsOutcome):
 
 
 SUMMARY = "a ball on a chain swings into a wall of bricks; the chain stays closed"
+outcome = DemolitionOutcome
 DURATION = 3.0

@@ -72,7 +72,7 @@ def spiral(count: int, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return place, turn + np.arctan2(radius, growth), distance
 
 
-class Outcome(OverlapOutcome):
+class DominoOutcome(OverlapOutcome):
     """Which dominoes fall, in which order, and how fast the wave runs."""
 
     prefix = "domino_"
@@ -122,6 +122,7 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "a leaning domino topples a spiral of others, if it leans by more than atan(thickness / height)"
+outcome = DominoOutcome
 DURATION = 5.0
 VARIANTS = {"default": {}, "two_pass": {"shock_propagation": "two_pass"}}
 # The fallen dominoes lean on each other in a row and do not stack, so shock propagation is of no use.

@@ -48,7 +48,7 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     return scene
 
 
-class Outcome:
+class InclineOutcome:
     """Sliding distance, lift-off and penetration of the block."""
 
     def __init__(self, scene):
@@ -93,6 +93,7 @@ class Outcome:
 
 
 SUMMARY = "a bouncy but sticky block stays on a slope, if collisions precede the velocity update"
+outcome = InclineOutcome
 DURATION = 5.0
 VARIANTS = {
     "default": {},

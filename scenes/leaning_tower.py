@@ -32,7 +32,7 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     return scene
 
 
-class Outcome:
+class TowerOutcome:
     """Whether the tower stands or topples as statics demands."""
 
     def __init__(self, scene):
@@ -66,6 +66,7 @@ class Outcome:
 
 
 SUMMARY = "a tower of boxes that leans too far must topple; the one-pass method of 2003 keeps it standing"
+outcome = TowerOutcome
 DURATION = 4.0
 VARIANTS = {
     "default": {},

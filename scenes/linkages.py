@@ -71,7 +71,7 @@ def _drive(scene, joint, speed):
     scene.add_drive(joint, damping=1e4, target_velocity=speed)
 
 
-class Outcome:
+class LinkageOutcome:
     """Distance of the coupler and of the slider from their closed forms, for the angles of the cranks."""
 
     def __init__(self, scene):
@@ -110,4 +110,5 @@ def _largest(before, difference):
 
 
 SUMMARY = "a four-bar linkage and a slider-crank turn; both follow their closed forms"
+outcome = LinkageOutcome
 DURATION = 4.0

@@ -56,7 +56,7 @@ def acceleration(friction: float, inertia: float) -> float:
     return 9.81 * k / (k + inertia * carrying / (THREAD.mean_radius * turning)) if turning > 0.0 else 0.0
 
 
-class Outcome(OverlapOutcome):
+class NutOutcome(OverlapOutcome):
     """Whether the nut turns down or is held, how well it follows the thread, and how fast."""
 
     def __init__(self, scene):
@@ -115,4 +115,5 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "a nut turns down a bolt by its weight, unless friction locks the thread"
+outcome = NutOutcome
 DURATION = 2.0

@@ -36,7 +36,7 @@ def build(drop: float = 0.3) -> Scene:
     return scene
 
 
-class Outcome(OverlapOutcome):
+class PalletOutcome(OverlapOutcome):
     """How far boxes move relative to the first one."""
 
     prefix = "box_"
@@ -68,4 +68,5 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "twelve welded boxes fall on the ground and keep their common shape"
+outcome = PalletOutcome
 DURATION = 3.0

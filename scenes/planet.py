@@ -71,7 +71,7 @@ def _shell(count, radius, rng):
     return points @ turn
 
 
-class Outcome(OverlapOutcome):
+class PlanetOutcome(OverlapOutcome):
     """Whether the bodies settled on all sides of the planet."""
 
     def verdicts(self, sim):
@@ -90,5 +90,6 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "bodies fall from all sides on a small planet and settle all around it"
+outcome = PlanetOutcome
 DURATION = 8.0
 vary = vary_starts("body_", starts)

@@ -41,7 +41,7 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
     return scene
 
 
-class Outcome:
+class LaunchOutcome:
     """Height of the small boxes' flight, and penetration of the plank into the base."""
 
     def __init__(self, scene):
@@ -78,5 +78,6 @@ class Outcome:
 
 
 SUMMARY = "a large box falls on one end of a plank and launches small boxes from the other"
+outcome = LaunchOutcome
 DURATION = 3.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003}

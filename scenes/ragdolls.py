@@ -32,7 +32,7 @@ def build(dolls: int = 4) -> Scene:
     return scene
 
 
-class Outcome(ClosedJointsOutcome):
+class RagdollOutcome(ClosedJointsOutcome):
     """How far joints open, whether any body leaves the pit, and rest."""
 
     def __init__(self, scene):
@@ -54,4 +54,5 @@ class Outcome(ClosedJointsOutcome):
 
 
 SUMMARY = "ragdolls fall into a pit and come to rest; no joint opens and none escapes"
+outcome = RagdollOutcome
 DURATION = 5.0

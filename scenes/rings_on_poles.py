@@ -112,7 +112,7 @@ def threaded(position, orientation, feet) -> np.ndarray:
     return inside.any(axis=-1).sum(axis=1)
 
 
-class Outcome(OverlapOutcome):
+class RingsOutcome(OverlapOutcome):
     """Number of rings on poles, and whether none is lost and none overlaps another."""
 
     prefix = "ring_"
@@ -145,5 +145,6 @@ def vary(sim, rings, poles, seed, **_):
 
 
 SUMMARY = "rings fall on a field of poles, thread, lean and interlock"
+outcome = RingsOutcome
 DURATION = 8.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}

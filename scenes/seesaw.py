@@ -66,7 +66,7 @@ def _add_turning(scene, name, half_extents, place, mass, friction):
     )
 
 
-class Outcome:
+class SeesawOutcome:
     """The plank's largest tilt to the right, and the largest tilt to the left after that."""
 
     def __init__(self, scene):
@@ -104,5 +104,6 @@ class Outcome:
 
 
 SUMMARY = "the large block tips the seesaw and slides off, then the small one tips it back"
+outcome = SeesawOutcome
 DURATION = 4.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003, "no_contact": {**ONE_PASS_2003, "contact_iterations": 0}}

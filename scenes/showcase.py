@@ -62,7 +62,7 @@ def _side(bodies):
     return math.ceil((2.0 * bodies) ** (1.0 / 3.0))
 
 
-class Outcome(OverlapOutcome):
+class RainOutcome(OverlapOutcome):
     """Whether all bodies rest on the slab and none overlaps another."""
 
     def verdicts(self, sim):
@@ -75,5 +75,6 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "random convex bodies fall on a fixed slab and come to rest"
+outcome = RainOutcome
 DURATION = 4.0
 vary = vary_starts("body_", starts)

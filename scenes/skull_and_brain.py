@@ -87,7 +87,7 @@ def _own(parameter, path, size):
         raise ValueError(f"{parameter}: {error}") from None
 
 
-class Outcome(OverlapOutcome):
+class MeetingOutcome(OverlapOutcome):
     """Whether skull and brain come to rest in contact with each other, without overlap."""
 
     def __init__(self, scene):
@@ -111,5 +111,6 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "an open skull and then a brain fall on a platform, collide, bounce and settle"
+outcome = MeetingOutcome
 DURATION = 6.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}

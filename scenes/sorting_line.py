@@ -54,23 +54,13 @@ def build(parcels: int = 6, speed: float = 1.5, friction: float = 0.5) -> Scene:
         name="belt",
     )
     scene.add_kinematic(Box(ARM_HALF), path=arm_path(parcels, speed, friction), friction=0.0, name="arm")
-    for name, (x, y) in BINS.items():
-        _add_bin(scene, x, y, name)
+    for name, middle in BINS.items():
+        grounds.add_bin(scene, BIN_HALF, BIN_HEIGHT, 2.0 * WALL_HALF, center=middle, names=f"{name}_bin")
     for k in range(parcels):
         size, half = list(SIZES.items())[k % len(SIZES)]
         place = (FIRST - PITCH * k, 0.0, TOP + half)
         scene.add_body(Box((half,) * 3), position=place, density=200.0, friction=friction, name=f"parcel_{k}_{size}")
     return scene
-
-
-def _add_bin(scene, x, y, name):
-    """Four walls around a place on the ground."""
-    for i, (along, across) in enumerate(grounds.SIDES):
-        long = BIN_HALF + 2.0 * WALL_HALF
-        half = (WALL_HALF, long, 0.5 * BIN_HEIGHT) if along else (long, WALL_HALF, 0.5 * BIN_HEIGHT)
-        away = BIN_HALF + WALL_HALF
-        place = (x + along * away, y + across * away, 0.5 * BIN_HEIGHT)
-        scene.add_static(Box(half), position=place, name=f"{name}_bin_{i}")
 
 
 def way_of_parcel(time: float, speed: float, friction: float) -> float:
@@ -100,7 +90,7 @@ def arm_path(parcels: int, speed: float, friction: float) -> PosePath:
     )
 
 
-class Outcome:
+class SortingOutcome:
     """Parcels in their bins, their way on the belt, and their speed along the arm."""
 
     def __init__(self, scene):
@@ -151,5 +141,6 @@ class Outcome:
 
 
 SUMMARY = "a belt carries parcels, and an arm on a path sends the large ones into another bin"
+outcome = SortingOutcome
 DURATION = 8.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}

@@ -62,7 +62,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return position, rotations.random(rng, bodies)
 
 
-class Outcome(OverlapOutcome):
+class SlideOutcome(OverlapOutcome):
     """Whether all bodies stay above the terrain and their energy never increases."""
 
     def __init__(self, scene):
@@ -98,5 +98,6 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "bodies slide without friction over a concave terrain"
+outcome = SlideOutcome
 DURATION = 5.0
 vary = vary_starts("body_", starts)

@@ -62,7 +62,7 @@ def _directions():
     return (np.array([0.0, math.cos(SLOPE), -math.sin(SLOPE)]), np.array([0.0, math.sin(SLOPE), math.cos(SLOPE)]))
 
 
-class Outcome(OverlapOutcome):
+class WreckOutcome(OverlapOutcome):
     """Drift of the pyramids before the hit, speed of the ball on the ramp, and the collapse."""
 
     prefix = "cube_"
@@ -114,4 +114,5 @@ class Outcome(OverlapOutcome):
 
 
 SUMMARY = "a ball rolls down a ramp and breaks pyramids that have stood still"
+outcome = WreckOutcome
 DURATION = 5.0

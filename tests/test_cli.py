@@ -148,7 +148,7 @@ def test_verdicts_name_what_is_not_as_expected(capsys):
 def test_an_unexpected_verdict_has_its_own_status(capsys, monkeypatch, expected, status):
     """The block of the incline starts at rest: it has not slid, whatever the scene expects."""
 
-    class Slides(incline.Outcome):
+    class Slides(incline.InclineOutcome):
         def verdicts(self, sim):
             return [replace(super().verdicts(sim)[0], expected={"default": expected})]
 

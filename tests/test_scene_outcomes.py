@@ -182,7 +182,7 @@ def test_statics_agrees_with_the_closed_form(height):
     # The boxes above the lowest one balance over its edge where height * offset = 1.
     for offset in (0.99 / height, 1.01 / height):
         if offset <= 0.45:
-            outcome = leaning_tower.Outcome(leaning_tower.build(height, offset))
+            outcome = leaning_tower.TowerOutcome(leaning_tower.build(height, offset))
             assert outcome.falls == (height * offset > 1.0)
 
 
@@ -333,7 +333,7 @@ def test_meeting_of_two_boxes():
     scene = Scene()
     scene.add_body(Box((0.1,) * 3), position=(0, 0, 0), name="skull")
     scene.add_body(Box((0.1,) * 3), position=(0, 0, 0.2), name="brain")
-    outcome, sim = skull_and_brain.Outcome(scene), StillSimulator(scene, 4)
+    outcome, sim = skull_and_brain.MeetingOutcome(scene), StillSimulator(scene, 4)
     sim.arrays["position"][1, 1, 2] += 0.0011
     sim.depth = np.array([0.0, 0.0, 0.005, 0.0])
     outcome.observe(sim)

@@ -422,7 +422,7 @@ class FallingSimulator(FakeSimulator):
 
 def test_nut_passes_half_way_at_the_time_of_free_fall_and_may_be_observed_twice_at_one_time():
     sim = FallingSimulator(nut_and_bolt.build())
-    outcome = nut_and_bolt.Outcome(sim.scene)
+    outcome = nut_and_bolt.outcome(sim.scene)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for _ in range(120):

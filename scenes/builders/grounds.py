@@ -59,6 +59,7 @@ def add_bin(
     height: float,
     thickness: float,
     *,
+    center: tuple[float, float] = (0.0, 0.0),
     names: str | None = None,
     sides: tuple[tuple[int, int], ...] = SIDES,
     **surface: Any,
@@ -70,6 +71,7 @@ def add_bin(
         inner_half: half of the inner width [m].
         height: of the walls, which start at z = 0 [m].
         thickness: of the walls [m].
+        center: of the square [m].
         names: prefix of the walls' names, followed by their numbers; the scene's default names if None.
         sides: outward directions (x, y) of the walls, in the order in which they are added.
         **surface: coefficients, as in `Scene.add_static`.
@@ -83,7 +85,8 @@ def add_bin(
     for i, (x, y) in enumerate(sides):
         half = (half_thickness, length, half_height) if x else (length, half_thickness, half_height)
         name = None if names is None else f"{names}_{i}"
-        walls.append(scene.add_static(Box(half), position=(x * away, y * away, half_height), name=name, **surface))
+        place = (center[0] + x * away, center[1] + y * away, half_height)
+        walls.append(scene.add_static(Box(half), position=place, name=name, **surface))
     return walls
 
 

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from warp_rigid.scenes.builders import stacks
-from warp_rigid.scenes.builders.parts import on_ground
+from warp_rigid.scenes.builders.scene_parts import on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment, Trace
 from warp_rigid.validation.towers import card_house_scene, pyramid_scene

@@ -11,7 +11,7 @@ from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.scene.joints import DistanceJoint, FixedJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.scenes.builders.parts import body, in_space
+from warp_rigid.scenes.builders.scene_parts import body, in_space
 from warp_rigid.validation.case import OUTCOME, Check, ValidationCase, absolute, at_most, case, measured, relative
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 

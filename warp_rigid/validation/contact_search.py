@@ -10,7 +10,7 @@ from warp_rigid import rotations
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scenes.builders.assortment import CONVEX_KINDS, convex_solid
-from warp_rigid.scenes.builders.parts import body, in_space
+from warp_rigid.scenes.builders.scene_parts import body, in_space
 from warp_rigid.validation.case import Cases, Check, at_most, case
 
 POLYHEDRA = tuple(kind for kind in CONVEX_KINDS if kind != "sphere")

@@ -10,7 +10,7 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Sphere
-from warp_rigid.scenes.builders.parts import body, in_space, static
+from warp_rigid.scenes.builders.scene_parts import body, in_space, static
 from warp_rigid.validation.case import Cases, Check, Curve, absolute, case, measured, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace

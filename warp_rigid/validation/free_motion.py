@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.scenes.builders.parts import body, in_space
+from warp_rigid.scenes.builders.scene_parts import body, in_space
 from warp_rigid.validation.case import Cases, Check, Curve, Miss, absolute, at_most, case, each, measured, relative
 from warp_rigid.validation.common import G, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace

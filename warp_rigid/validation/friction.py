@@ -3,7 +3,7 @@
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
-from warp_rigid.scenes.builders.parts import body, in_space, on_ground
+from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, Miss, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start

@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
-from warp_rigid.scenes.builders.parts import body, in_space, on_ground
+from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start

@@ -6,7 +6,7 @@ from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh, Sphere
 from warp_rigid.scenes.builders import meshes
-from warp_rigid.scenes.builders.parts import body, in_space, on_ground, static
+from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground, static
 from warp_rigid.validation import solids
 from warp_rigid.validation.case import (
     AT_LEAST,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
-from warp_rigid.scenes.builders.parts import body, on_ground
+from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, at_most, case, measured, relative
 from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start

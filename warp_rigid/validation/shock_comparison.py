@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.scenes.builders import stacks
-from warp_rigid.scenes.builders.parts import on_ground
+from warp_rigid.scenes.builders.scene_parts import on_ground
 from warp_rigid.validation.case import AT_LEAST, Check, at_most, measured
 from warp_rigid.validation.experiment import DT, Experiment
 from warp_rigid.validation.towers import HALF, falling_piles, farthest, leaning, pyramid_scene, stack_scene

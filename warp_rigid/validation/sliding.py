@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Compound, Sphere
-from warp_rigid.scenes.builders.parts import body, on_ground
+from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import Cases, Check, Curve, case, each, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import Experiment, Start, Trace

@@ -5,7 +5,7 @@ import numpy as np
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Heightfield, Sphere
 from warp_rigid.scenes.builders.grounds import EARTH
-from warp_rigid.scenes.builders.parts import body, in_space, static
+from warp_rigid.scenes.builders.scene_parts import body, in_space, static
 from warp_rigid.validation.case import Cases, ValidationCase, absolute, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment
 

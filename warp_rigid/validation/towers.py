@@ -12,7 +12,7 @@ from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders import grounds, piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.scenes.builders.parts import body, on_ground
+from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
