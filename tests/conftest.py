@@ -70,12 +70,13 @@ def pytest_xdist_auto_num_workers(config):
 def pytest_sessionstart(session):
     """Compile all kernels in one process before the workers start, at the level of messages that a new user has.
 
-    A warning of the compiler ends the tests: it is seen where a kernel is compiled for the first time.
+    A warning of the compiler for the CPU ends the tests: it is seen where a kernel is compiled for the first time.
     """
     if getattr(session.config.option, "numprocesses", None):
         command = [sys.executable, "-W", "ignore", "-m", "tests.compile_kernels"]
         done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        if done.returncode or "warning:" in done.stdout:
+        warned = "warning:" in done.stdout and not wp.is_cuda_available()
+        if done.returncode or warned:
             print(done.stdout)
             pytest.exit("the kernels do not compile without warnings", returncode=done.returncode or 1)
 
