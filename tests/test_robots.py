@@ -276,3 +276,15 @@ def test_what_is_not_simulated_is_named(robots, tmp_path, name, expected):
     assert dict(line.split(": ") for line in told if line) == expected
     reasons = [finding.reason for finding in scene.import_report.left_out if finding.path == name]
     assert set(reasons) >= {f"{kind}: {names}" for kind, names in expected.items()}
+
+
+def test_links_of_mass_0_are_named(robots, tmp_path):
+    """They get a mass from their collider; a link without collider keeps that of the file, and is not named."""
+    link = "<link name='{}'><inertial><mass value='{}'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/>"
+    ball = "</inertial><collision><geometry><sphere radius='0.1'/></geometry></collision></link>"
+    links = [link.format(name, mass) + ball for name, mass in (("base", 1), ("foot", 0))]
+    joint = "<joint name='j' type='continuous'><parent link='base'/><child link='foot'/><axis xyz='0 1 0'/></joint>"
+    (tmp_path / "robot.urdf").write_text(f"<robot name='m'>{''.join(links)}{joint}</robot>")
+    with pytest.warns(UserWarning, match="robot.urdf: links of mass 0 have the mass of their collider: foot"):
+        scene = wr.import_robot(tmp_path / "robot.urdf")
+    assert any("foot" in str(finding) for finding in scene.import_report.findings)

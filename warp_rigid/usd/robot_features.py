@@ -6,8 +6,6 @@ from pathlib import Path
 
 from warp_rigid.scene.import_report import ImportFinding
 
-__all__ = ["name_left_out"]
-
 MOTORS, TENDONS, EQUALITIES = "motors", "tendons", "equality constraints"
 MIMICS, SENSORS, TRANSMISSIONS = "mimic joints", "sensors", "transmissions"
 BEHIND_JOINTS = ("connect", "weld")
@@ -31,6 +29,22 @@ def name_left_out(path: Path, findings: Iterable[ImportFinding]) -> list[ImportF
         ImportFinding(path.name, "left out", f"{kind}: {', '.join(dict.fromkeys(names))}")
         for kind, names in named.items()
     ]
+
+
+def without_mass(path: Path) -> list[str]:
+    """Names of the links of a URDF file that state a mass of 0 and have a collider, from which they get a mass."""
+    if path.suffix.lower() != ".urdf":
+        return []
+    links = (link for root in _included(path, set()) for link in root.findall("link"))
+    return [_name(link) for link in links if link.find("collision") is not None and _states_no_mass(link)]
+
+
+def _states_no_mass(link: ElementTree.Element) -> bool:
+    mass = link.find("inertial/mass")
+    try:
+        return mass is not None and float(mass.get("value", "")) == 0.0
+    except ValueError:
+        return False
 
 
 def _mjcf(path: Path) -> Iterator[tuple[str, str]]:

@@ -20,7 +20,7 @@ from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd import limited
 from warp_rigid.usd.load import import_usd
-from warp_rigid.usd.robot_features import name_left_out
+from warp_rigid.usd.robot_features import name_left_out, without_mass
 
 CONVERTERS = {".xml": "mujoco_usd_converter", ".mjcf": "mujoco_usd_converter", ".urdf": "urdf_usd_converter"}
 """Programs by the suffix of the file."""
@@ -84,6 +84,10 @@ def import_robot(
                 raise ValueError(f"{path}: {str(error).replace(folder, '')}") from None
     if not self_collision and _filter_mechanisms(scene):
         findings.append(ImportFinding(path.name, "changed", "bodies of the same mechanism do not collide"))
+    if massless := without_mass(path):
+        reason = f"links of mass 0 have the mass of their collider: {', '.join(massless)}"
+        findings.append(ImportFinding(path.name, "changed", reason))
+        warnings.warn(f"{path}: {reason}", stacklevel=2)
     report = scene.import_report
     assert report is not None
     named = name_left_out(path, report.findings)
