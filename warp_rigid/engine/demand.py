@@ -38,8 +38,9 @@ class Demand:
         if not self.known:
             return {}
         last = self.wanted[-CHUNK:].max(axis=0)
-        before = self.wanted[:-CHUNK] if len(self.wanted) > CHUNK else self.wanted[:1]
-        rise = np.maximum(last - before.max(axis=0), 0)
+        before = (self.wanted[:-CHUNK] if len(self.wanted) > CHUNK else self.wanted[:1]).max(axis=0)
+        # The first contacts of a stack are most of those that it will have: a rise from nothing is no trend.
+        rise = np.where(before > 0, np.maximum(last - before, 0), 0)
         present = np.array([sizes[name] for name in POOLS])
         soon, later = (np.minimum(last + times * rise, LARGEST) for times in (SOON, LATER))
         if (soon <= present).all():
