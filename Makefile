@@ -21,7 +21,7 @@ PART := public_names packaging simulator determinism cli sweep_files usd_export 
 # One worker a core; the tests of a file stay together, for they share what is costly to make. The longest files first.
 WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test test-all other-pythons other-python-test frameworks environments browser-test fuzz dist pins locks validate lint docs format clean
+.PHONY: demo test test-all other-pythons other-python-test frameworks environments browser-test fuzz soak dist pins locks validate lint docs format clean
 
 # Two scenes: films, pictures and a contact sheet in out/.
 demo: $(READY)
@@ -67,6 +67,11 @@ browser-test: $(READY) $(ROBOTS_READY)
 fuzz: $(READY)
 	FUZZ_CASES=10000 $(PYTEST) tests/fuzz
 	FORGETTING_SCENES=200 $(PYTEST) -m long tests/test_forgetting.py
+
+# A pile from which bodies are removed and to which they return, over many steps.
+soak: export SOAK_STEPS ?= 1000000
+soak: $(READY)
+	$(PYTEST) -s tests/test_soak.py -k trace
 
 # Wheel and sdist of the last commit, of the same bytes every time: out/dist.
 dist: $(READY)

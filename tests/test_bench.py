@@ -364,8 +364,8 @@ def test_an_engine_that_is_missing_or_fails_is_told(capsys, fake_peer):
 
 
 def commands_of_the_page():
-    """Commands of benchmarks/README.md, with a thousandth of the bodies, rounded up."""
-    page = (Path(__file__).resolve().parents[1] / "benchmarks" / "README.md").read_text()
+    """Commands of docs/bench.md, with a thousandth of the bodies, rounded up."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "bench.md").read_text()
     commands = [line for line in page.splitlines() if line.startswith("warp-rigid bench ")]
     return [re.sub(r":(\d+)", lambda count: f":{-(-int(count[1]) // 1000)}", command) for command in commands]
 

@@ -1,6 +1,5 @@
 """The same bits every time: over runs, batch sizes, places in the batch, growth of pools, and restarts."""
 
-import itertools
 import json
 import platform
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
-from benchmarks import cross_device
 from tests import pin_hashes
 from tests.oracles import moving, random_pile
 from warp_rigid.engine.settings import Settings
@@ -195,26 +193,3 @@ def test_ends_are_the_pinned_ones():
     pinned, found = json.loads(pin_hashes.FILE.read_text()), pin_hashes.ends()
     assert len(pinned) == 10
     assert [name for name in pinned if found[name] != pinned[name]] == []
-
-
-@pytest.mark.parametrize("name", cross_device.SCENES)
-def test_devices_agree_as_long_as_nothing_is_chaotic(device, name):
-    """Boxes that fly, slide, stand and stick, balls that roll and bounce: within 0.1 mm of the CPU."""
-    apart, turned = cross_device.difference(name, ("cpu", device))
-    if device == "cpu":
-        assert (apart, turned) == (0.0, 0.0)
-    assert apart < cross_device.LIMIT
-
-
-def test_a_difference_between_devices_is_told(capsys, monkeypatch):
-    """Two runs that part, since the second one starts lower."""
-    lower = itertools.count()
-
-    def build():
-        scene = wr.Scene()
-        scene.add_body(Sphere(0.1), position=(0, 0, -0.01 * next(lower)))
-        return scene
-
-    monkeypatch.setattr(cross_device, "SCENES", {"a ball": (build, 15)})
-    assert cross_device.compare_positions(("cpu", "cpu")) == 1
-    assert capsys.readouterr().out.splitlines()[1].split() == ["0.01", "0", "a", "ball"]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
-from benchmarks import price_of_checks
 from warp_rigid.commands import cli
 from warp_rigid.engine import health_checks
 
@@ -242,16 +241,3 @@ def test_energy_that_a_motor_gives_is_not_reported(device):
     sim = wr.Simulator(scene, device=device)
     sim.step(600)
     assert sim.get("angular_velocity")[0, 0, 2] > 40.0 and found(sim) == []
-
-
-def test_the_price_of_checks_is_that_of_the_same_motion(device, monkeypatch):
-    monkeypatch.setattr(price_of_checks, "ROUNDS", 1)
-    checked, unchecked = price_of_checks.measure(1, 64, device, height=2)
-    assert checked > 0.0 and unchecked > 0.0
-    with price_of_checks.without_checks():
-        sim = wr.Simulator(squeezed(), device=device)
-        sim.step(960)
-    assert found(sim) == []
-    same = wr.Simulator(squeezed(), device=device)
-    same.step(960)
-    assert same.get("position").tobytes() == sim.get("position").tobytes() and found(same) != []

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = ("warp_rigid", "kernels", "scenes", "tests", "benchmarks")
+FOLDERS = ("warp_rigid", "kernels", "scenes", "tests")
 FILES = sorted(
     file
     for folder in FOLDERS

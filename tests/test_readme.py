@@ -28,8 +28,8 @@ MOST_BYTES = {".png": 120_000, ".webp": 500_000}
 MOST_BYTES_OF_ALL = 9_000_000
 
 
-OTHERS = [page for page in PAGES if page.parent.name != "sweeps"]
-"""Not those of the sweeps, whose code tests/test_sweep_docs.py runs."""
+OTHERS = [page for page in PAGES if page.parent.name != "sweeps" and page.name != "bench.md"]
+"""Not those that tests/test_sweep_docs.py and tests/test_bench.py run."""
 
 COMMANDS = commands(OTHERS)
 PROGRAMS = blocks("python", OTHERS)

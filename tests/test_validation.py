@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks import cross_device
 from warp_rigid.commands import cli
 from warp_rigid.validation import impact, report, shock_comparison, suite
 from warp_rigid.validation.case import (
@@ -173,10 +172,15 @@ def test_verdicts_that_differ_between_devices_are_told(tmp_path, capsys):
     assert report.agreement(here) == []
     for name, checks in (("here", here), ("there", there)):
         (tmp_path / name).write_text(json.dumps({"checks": checks}))
-    assert cross_device.compare_verdicts([tmp_path / "here", tmp_path / "there"]) == 1
+    assert cli.main(["validate", "--compare", str(tmp_path / "here"), "--compare", str(tmp_path / "there")]) == 1
     assert capsys.readouterr().out.splitlines() == expected
-    assert cross_device.compare_verdicts([tmp_path / "there", tmp_path / "there"]) == 1
+    assert cli.main(["validate", "--compare", str(tmp_path / "there")]) == 1
     assert "nothing to compare" in capsys.readouterr().out
+    (tmp_path / "other").write_text("{}")
+    for name in ("other", "missing"):
+        assert cli.main(["validate", "--compare", str(tmp_path / name)]) == 2
+        error = capsys.readouterr().err
+        assert name in error and error.count("\n") == 1
 
 
 @pytest.fixture(scope="module")

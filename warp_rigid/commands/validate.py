@@ -31,6 +31,9 @@ def validate_command(
     compare_shock: Annotated[
         bool, typer.Option("--compare-shock", help="Compare shock propagation with its alternatives instead.")
     ] = False,
+    compare: Annotated[
+        list[Path] | None, typer.Option(help="results.json of a run, repeatable: print which verdicts differ instead.")
+    ] = None,
 ) -> int:
     """Compare the engine with closed forms and published references, in one table.
 
@@ -40,6 +43,8 @@ def validate_command(
     """
     from warp_rigid.validation import figures, report, suite
 
+    if compare:
+        return _compare_runs(compare)
     devices = [str(choose_device(name)) for name in device] if device else [str(d) for d in wp.get_devices()]
     if compare_shock:
         if names or output:
@@ -71,6 +76,21 @@ def validate_command(
         say(report.summary(findings), *report.agreement(report.as_json(findings, devices)["checks"]))
         say_written(files)
     return report.exit_status(findings)
+
+
+def _compare_runs(paths: list[Path]) -> int:
+    """Print which verdicts of runs differ; the exit status is 0 if none does."""
+    from warp_rigid.validation import report
+
+    checks = []
+    for path in paths:
+        try:
+            checks += json.loads(path.read_text())["checks"]
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(f"--compare: must be the results.json of a run with -o, got {str(path)!r}") from None
+    lines = report.agreement(checks)
+    print(*lines or ["nothing to compare: the files contain verdicts of one device only"], sep="\n")
+    return int(len(lines) != 1)
 
 
 def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
