@@ -1,7 +1,7 @@
 """A soak test: memory, speed and resting bodies stay as they are while bodies leave a pile and return to it.
 
-`make soak` runs a million steps of a larger pile, or SOAK_STEPS in each of SOAK_ENVS environments, and prints the results
-so far.
+`make soak` runs a million steps of a larger pile, or SOAK_STEPS in each of SOAK_ENVS environments, and prints results
+on the way.
 """
 
 import gc
