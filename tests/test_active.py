@@ -86,7 +86,7 @@ def test_switched_on_again_it_is_there(device):
     np.testing.assert_allclose(sim.get("position")[1, 1], [0, 0, HALF], atol=1e-6)
 
 
-def test_a_thousand_bodies_come_and_go_without_a_leak(device):
+def test_bodies_come_and_go_without_a_leak(device):
     """Each of four spare bodies is dropped onto a sleeping stack, removed, dropped again."""
     scene = stack(2)
     spares = [scene.add_body(Sphere(0.05), active=False) for _ in range(4)]
@@ -104,12 +104,12 @@ def test_a_thousand_bodies_come_and_go_without_a_leak(device):
         cycle(k)
     size = sim.counts()["pair_capacity"], sim.counts()["contact_capacity"]
     tracemalloc.start()
-    for k in range(1000):
+    for k in range(200):
         cycle(k)
     gc.collect()
     grown = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
-    assert grown < 100_000
+    assert grown < 20_000
     assert (sim.counts()["pair_capacity"], sim.counts()["contact_capacity"]) == size
     assert (sim.status()["status"] == "ok").all()
     np.testing.assert_allclose(sim.get("position")[0, 1:3, 2], [HALF, 3 * HALF], atol=1e-3)

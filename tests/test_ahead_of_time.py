@@ -41,8 +41,19 @@ ASSEMBLED = {module.__name__ for module in loading.TEAM_MODULES}
 """Units with inline assembly, which only the assembler checks: it is that of `kernels/common/team.py`. The units of
 joints call the same functions, and take minutes to assemble."""
 
+SLOW = ("settle_joints", "sweep_with_joints", "close_stopped")
+"""Kernels that take one to three minutes together to compile, of functions that other kernels of joints call, too."""
+
+
+def marks_of(unit, form):
+    """When a form of a unit is compiled: what is assembled needs not be compiled beside that."""
+    if unit.rpartition(".")[2] in SLOW:
+        return pytest.mark.long
+    return form if unit in ASSEMBLED else ()
+
+
 FORMS = [
-    pytest.param(unit, ptx, id=f"{short(unit)}-{name}", marks=marks if unit in ASSEMBLED else ())
+    pytest.param(unit, ptx, id=f"{short(unit)}-{name}", marks=marks_of(unit, marks))
     for unit in UNITS
     for ptx, name, marks in ((True, "compiled", pytest.mark.short), (False, "assembled", pytest.mark.long))
     if ptx or unit in ASSEMBLED

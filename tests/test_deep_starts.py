@@ -94,8 +94,8 @@ unseen = pytest.mark.xfail(strict=True, reason="contacts do not see overlaps bet
 @pytest.mark.parametrize(
     ("first", "second"),
     [("ball", "ball"), ("ball", "bunny")]
-    + [pytest.param(name, name, marks=unseen) for name in ("torus", "cranium", "bunny")]
-    + [("cube", "corner"), ("rod", "corner"), ("corner", "channel"), *((name, name) for name in BRANCHED)]
+    + [pytest.param(name, name, marks=(unseen, pytest.mark.long)) for name in ("torus", "cranium", "bunny")]
+    + [("cube", "corner"), ("rod", "corner"), ("corner", "channel")]
     + [(name, "boxes") for name in ("sphere", "box", "rod", "capsule", "boxes")],
 )
 def test_meshes_that_start_deep_inside_each_other_come_apart(device, first, second):
@@ -109,11 +109,13 @@ def test_meshes_that_start_deep_inside_each_other_come_apart(device, first, seco
 
 @pytest.mark.parametrize("name", BRANCHED)
 def test_no_arms_of_meshes_that_start_deep_stay_crossed(device, name):
-    """By the volume that both meshes share, of Manifold's intersection: none after a second."""
-    sim, _ = overlapping(device, SHAPES[name], SHAPES[name])
-    assert max(shared_volumes(sim, BRANCHED[name])) > 0.1
+    """The same, and by the volume that both meshes share, of Manifold's intersection: none after a second."""
+    shape = SHAPES[name]
+    sim, _ = overlapping(device, shape, shape)
+    assert sim.penetration().max() > 0.3 * shape.size and max(shared_volumes(sim, BRANCHED[name])) > 0.1
     sim.step(240)
-    assert max(shared_volumes(sim, BRANCHED[name])) < 1e-4
+    assert sim.penetration().max() < 1e-3 * shape.size and max(shared_volumes(sim, BRANCHED[name])) < 1e-4
+    assert np.abs(sim.get("linear_velocity")).max() < 1e-3
 
 
 @pytest.mark.parametrize("name", VESSELS)
@@ -127,6 +129,7 @@ def test_no_walls_that_cross_at_the_start_stay_crossed(device, name):
 
 
 @unseen
+@pytest.mark.long
 @pytest.mark.parametrize("second", ["boxes", "corner", "tray"])
 def test_a_disc_that_starts_in_arms_or_walls_comes_apart(device, second):
     """Its rim may be in an inner corner, and an arm may pierce it: within two seconds none of it is left."""

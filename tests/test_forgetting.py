@@ -27,7 +27,7 @@ from warp_rigid.kernels.declare import LAYOUTS, Lifetime
 SCENES = int(os.environ.get("FORGETTING_SCENES", "20"))
 """Random scenes of the long tests; `make fuzz` takes 200."""
 
-FEW = pytest.param(range(6), marks=pytest.mark.short, id="few")
+FEW = pytest.param(range(4), marks=pytest.mark.short, id="few")
 MANY = [
     pytest.param(range(first, min(first + 50, SCENES)), marks=pytest.mark.long, id=f"from {first}")
     for first in range(0, SCENES, 50)
@@ -205,7 +205,7 @@ def test_steps_of_a_heap_remember_nothing_but_what_is_declared():
     """Its pairs are found with the grid, and solved in rounds."""
     scene = heap(np.random.default_rng(0))
     settings = wr.Settings(sleeping=True)
-    assert_nothing_else_is_remembered(lambda: wr.Simulator(scene, settings=settings, device="cpu"), 12)
+    assert_nothing_else_is_remembered(lambda: wr.Simulator(scene, settings=settings, device="cpu"), 8)
 
 
 def test_every_declared_array_is_found():

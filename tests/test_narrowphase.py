@@ -37,6 +37,21 @@ def touch(device, lower, upper, settings=None, **pose):
     return contact_list(stages)
 
 
+def touches(device, lower, upper, positions, orientations=None):
+    """The same for several poses of the body: one environment each."""
+    scene, count = Scene(gravity=(0, 0, 0)), len(positions)
+    scene.add_static(lower)
+    scene.add_body(upper)
+    sim, stages = opened(scene, device, num_envs=count)
+    sim.set("position", np.reshape(positions, (count, 1, 3)), bodies=[1])
+    if orientations is not None:
+        sim.set("orientation", np.reshape(orientations, (count, 1, 4)), bodies=[1])
+    find_contacts(stages)
+    found = contact_list(stages)
+    env = np.maximum(found["body_a"], found["body_b"]) // 2
+    return [{name: rows[env == e] for name, rows in found.items()} for e in range(count)]
+
+
 HALF = 0.1
 FLUSH = pytest.mark.parametrize("degrees", [0.0, 1e-4, 1.0, 45.0])
 

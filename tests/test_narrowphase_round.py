@@ -1,11 +1,13 @@
 """Balls, rods and cylinders against wide boxes and meshes: found where they touch, and nowhere else."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from tests.geometry_oracles import cube
 from tests.oracles import contact_list, find_contacts, opened, rotate_about
-from tests.test_narrowphase import touch
+from tests.test_narrowphase import touch, touches
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Mesh, Sphere
@@ -19,15 +21,13 @@ def test_a_tilted_cylinder_touches_only_the_top_of_a_slab(device, degrees):
     """Its lowest point's radial direction may be level: that must not make it touch a side metres away."""
     slant = np.radians(degrees)
     lowest = 0.3 * np.cos(slant) + 0.2 * np.sin(slant)
-    for azimuth in (0.0, 45.0, 200.0):
-        turn = rotate_about((np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth)), 0), degrees)
-        for depth in (-1e-5, 1e-4, 2e-3):
-            found = touch(
-                device, SLAB, Cylinder(0.2, 0.3), position=(1.0, 0.5, 0.25 + lowest - depth), orientation=turn
-            )
-            assert len(found["gap"]) >= 1
-            np.testing.assert_allclose(found["normal"], np.tile([0, 0, 1], (len(found["gap"]), 1)), atol=1e-6)
-            assert found["gap"].min() == pytest.approx(-depth, abs=1e-5)
+    depths = np.tile([-1e-5, 1e-4, 2e-3], 3)
+    turns = [rotate_about((np.cos(a), np.sin(a), 0), degrees) for a in np.radians(np.repeat([0.0, 45.0, 200.0], 3))]
+    places = [(1.0, 0.5, 0.25 + lowest - depth) for depth in depths]
+    for depth, found in zip(depths, touches(device, SLAB, Cylinder(0.2, 0.3), places, turns), strict=True):
+        assert len(found["gap"]) >= 1
+        np.testing.assert_allclose(found["normal"], np.tile([0, 0, 1], (len(found["gap"]), 1)), atol=1e-6)
+        assert found["gap"].min() == pytest.approx(-depth, abs=1e-5)
 
 
 @pytest.mark.parametrize("solid", [meshes.tetrahedron, meshes.octahedron, meshes.icosahedron, meshes.dodecahedron])
@@ -42,9 +42,10 @@ def test_a_ball_touches_a_polyhedron_where_it_does(device, solid, radius):
     # A grid of 48 cells rounds edges and corners by a part of its cell of 4 to 8 mm.
     cases = [(middle + share * (first - middle), normal, 1e-3, 4e-4) for share in (0.0, 0.4, 0.8)]
     cases += [(place, place, 5e-3, 2.6e-3) for place in (edge, first)]
-    for place, outward, depth, tolerance in cases:
-        outward = outward / np.linalg.norm(outward)
-        found = touch(device, mesh, Sphere(radius), position=place + (radius - depth) * outward)
+    cases = [(place, outward / np.linalg.norm(outward), *rest) for place, outward, *rest in cases]
+    centers = [place + (radius - depth) * outward for place, outward, depth, _ in cases]
+    all_found = touches(device, mesh, Sphere(radius), centers)
+    for (place, outward, depth, tolerance), found in zip(cases, all_found, strict=True):
         assert len(found["gap"]) >= 1, (place, outward)
         assert found["gap"].min() == pytest.approx(-depth, abs=tolerance)
         deepest = np.argmin(found["gap"])
@@ -54,13 +55,12 @@ def test_a_ball_touches_a_polyhedron_where_it_does(device, solid, radius):
 def test_a_ball_near_a_polyhedron_touches_only_if_it_does(device):
     generator = np.random.default_rng(3)
     mesh = meshes.octahedron(0.2, 48)
-    for _ in range(40):
-        direction = generator.normal(size=3)
-        direction /= np.linalg.norm(direction)
-        place = mesh.support(direction[None])[0] * direction
-        center = place + generator.uniform(-0.05, 0.25) * direction
-        gap = mesh.signed_distance(center[None])[0][0] - 0.15
-        found = touch(device, mesh, Sphere(0.15), position=center)
+    directions = generator.normal(size=(40, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    centers = (mesh.support(directions) + generator.uniform(-0.05, 0.25, 40))[:, None] * directions
+    gaps = mesh.signed_distance(centers)[0] - 0.15
+    assert (gaps > 1e-3).sum() > 5 and ((gaps > -0.05) & (gaps < -2e-3)).sum() > 5
+    for gap, found in zip(gaps, touches(device, mesh, Sphere(0.15), centers), strict=True):
         if gap > 1e-3:
             assert len(found["gap"]) == 0, gap
         elif -0.05 < gap < -2e-3:
@@ -72,13 +72,15 @@ def test_a_ball_near_a_polyhedron_touches_only_if_it_does(device):
 def test_a_rod_hovers_over_a_coarse_mesh_without_touching(device, shape):
     """Its middle line lies beyond the mesh's grid, where the distance is a lower bound only."""
     mesh = Mesh(*cube(0.2), sdf_resolution=16)
-    for turn in (rotate_about((1, 0, 0), 90.0), rotate_about((1, 1, 0), 90.0)):
-        for side in (-0.1, 0.0, 0.05):
-            for gap in (0.02, 0.003):
-                found = touch(device, mesh, shape, position=(side, side, 0.35 + gap), orientation=turn)
-                assert len(found["gap"]) == 0, (side, gap, found["gap"])
-            found = touch(device, mesh, shape, position=(side, side, 0.349), orientation=turn)
-            assert found["gap"].min() == pytest.approx(-1e-3, abs=5e-4)
+    turns = (rotate_about((1, 0, 0), 90.0), rotate_about((1, 1, 0), 90.0))
+    poses = list(itertools.product(turns, (-0.1, 0.0, 0.05), (0.02, 0.003, -0.001)))
+    places = [(side, side, 0.35 + gap) for _, side, gap in poses]
+    all_found = touches(device, mesh, shape, places, [turn for turn, _, _ in poses])
+    for (_, side, gap), found in zip(poses, all_found, strict=True):
+        if gap > 0.0:
+            assert len(found["gap"]) == 0, (side, gap, found["gap"])
+        else:
+            assert found["gap"].min() == pytest.approx(gap, abs=5e-4)
 
 
 @pytest.mark.parametrize("cells", [16, 32])

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from warp_rigid import scenes
+
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("kernels", "scenes", "warp_rigid")
 NUMBERS = ("No", "One", "Two", "Three", "Four")
@@ -150,12 +152,11 @@ NAMES = "import json, warp_rigid; print(json.dumps(warp_rigid.scenes.names()))"
 
 def test_a_scene_takes_two_files(copy, device):
     """The box stops after v^2 / (2 mu g), less v dt / 2: in each step it moves with the velocity at the step's end."""
-    command = ("-m", "warp_rigid", "run", "sliding_box", "--device", str(device), "--json")
-    short = json.loads(run(copy, *command, "--frames", "5"))
-    assert short["frames"] == 5
-    assert json.loads(run(copy, "-c", NAMES)) == [*json.loads(run(ROOT, "-c", NAMES)), "sliding_box"]
-    (verdict,) = json.loads(run(copy, *command, "--frames", "60"))["verdicts"]
-    assert verdict["passed"] == [True]
+    assert json.loads(run(copy, "-c", NAMES)) == [*scenes.names(), "sliding_box"]
+    command = ("-m", "warp_rigid", "run", "sliding_box", "--device", str(device), "--json", "--frames", "60")
+    found = json.loads(run(copy, *command))
+    (verdict,) = found["verdicts"]
+    assert (found["frames"], verdict["passed"]) == (60, [True])
     assert verdict["values"] == pytest.approx([2.0**2 / (2 * 0.5 * 9.81) - 2.0 / 240 / 2], abs=1e-4)
 
 

@@ -1,6 +1,6 @@
 """Wild input of every kind ends in a result or in one line that names what is wrong.
 
-FUZZ_CASES says how many cases there are in all (300, and 600 in the long tests); `make fuzz` tries 10 000 other ones.
+FUZZ_CASES says how many cases there are in all (200, and 600 in the long tests); `make fuzz` tries 10 000 other ones.
 """
 
 import faulthandler
@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from tests.fuzz import harness
 
 GIVEN_CASES = int(os.environ.get("FUZZ_CASES", "0"))
-SHORT, LONG = pytest.param(300, marks=pytest.mark.short), pytest.param(600, marks=pytest.mark.long)
+SHORT, LONG = pytest.param(200, marks=pytest.mark.short), pytest.param(600, marks=pytest.mark.long)
 CASES = [GIVEN_CASES] if GIVEN_CASES else [SHORT, LONG]
 MODULES = sorted({p.stem for p in Path(__file__).parent.glob("*.py")} - {"harness", "test_fuzz", "test_corpus"})
 TARGETS = [target for name in MODULES for target in import_module(f"tests.fuzz.{name}").TARGETS]
