@@ -69,15 +69,6 @@ def test_all_of_stdout_is_the_object(scene_file):
     assert done.stderr == ""
 
 
-def test_a_program_prints_only_its_own_lines():
-    program = (
-        "import warp_rigid as wr\nscene = wr.Scene()\nscene.add_body(wr.Sphere(0.1))\n"
-        "sim = wr.Simulator(scene, device='cpu')\nsim.step(2)\nsim.penetration()\nprint(sim.num_envs)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout == "1\n"
-
-
 def test_run_writes_what_is_asked(capsys, scene_file, tmp_path):
     paths = {
         flag: tmp_path / "out" / name

@@ -7,14 +7,17 @@ from warp_rigid import scenes
 from warp_rigid.runs.runner import execute, plan_run
 
 SMALL = {
+    "bunny_pile": ["bodies=4"],
+    "bridge": ["planks=20"],
+    "ragdolls": ["dolls=2"],
     "domino_spiral": ["dominoes=30"],
     "wrecking_ball": ["rows=5"],
     "showcase": ["bodies=40"],
     "terrain": ["bodies=6"],
     "carpet": ["bodies=8"],
     "planet": ["bodies=32"],
-    "rings_on_poles": ["rings=6"],
-    "bone_pile": ["bones=8"],
+    "rings_on_poles": ["rings=4"],
+    "bone_pile": ["bones=5"],
     "demolition": ["rows=5", "columns=6"],
 }
 """What makes the larger scenes quick enough here."""
