@@ -39,6 +39,7 @@ def arguments_of(command: str) -> list[str]:
         "bench": ["--device", "cpu"],
         "sweep": ["--duration", "0.01", "--device", "cpu"],
         "inspect": ["--sdf-resolution", "16"],
+        "validate": ["--cases", "V23"],
     }
     return arguments + smaller.get(arguments[0], [])
 

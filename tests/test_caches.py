@@ -30,9 +30,8 @@ def run(cache, program=PROGRAM):
     environment = {**os.environ, "WARP_CACHE_PATH": str(cache)}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    return done.stdout.split()[-1], [
-        line for line in done.stderr.splitlines() if "cache" in line or "compiling" in line
-    ]
+    told = [line for line in done.stderr.splitlines() if "cache" in line or "compiling" in line]
+    return done.stdout.split()[-1], told
 
 
 @pytest.fixture(scope="module")
@@ -73,12 +72,12 @@ def test_a_damaged_kernel_without_a_checksum_is_compiled_again(kernels, damage):
     assert printed == expected and len(told) == (damage == "cut")
 
 
-def test_every_changed_byte_of_a_distance_grid_is_harmless(empty_cache, bakes, caplog):  # noqa: F811
+def test_a_changed_byte_of_a_distance_grid_is_harmless(empty_cache, bakes, caplog):  # noqa: F811
     values = small_mesh(8).grid.values
     (file,) = cache_files(empty_cache)
     good = file.read_bytes()
     rng = np.random.default_rng(0)
-    places = [*range(120), *range(len(good) - 200, len(good)), *rng.integers(0, len(good), 80).tolist()]
+    places = [*range(0, 120, 2), *range(len(good) - 200, len(good), 2), *rng.integers(0, len(good), 40).tolist()]
     for place in places:
         content = bytearray(good)
         content[place] ^= 1 << int(rng.integers(8))
@@ -88,4 +87,4 @@ def test_every_changed_byte_of_a_distance_grid_is_harmless(empty_cache, bakes, c
         np.testing.assert_array_equal(small_mesh(8).grid.values, values)
         assert len(caplog.records) == len(bakes) - before <= 1, "computed again if and only if it was reported"
         assert not caplog.records or (str(file) in caplog.text and "is damaged" in caplog.text)
-    assert len(bakes) > 100
+    assert len(bakes) > 50
