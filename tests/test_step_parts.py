@@ -42,6 +42,18 @@ def outcome(sim, steps=STEPS):
     return bits(sim), sim.contacts().tobytes(), solved
 
 
+ALONE = {}
+
+
+def alone(on_workers, sleeping=False):
+    """The outcome with one worker, simulated once for all tests."""
+    if sleeping not in ALONE:
+        sim = on_workers(1, settings=Settings(sleeping=sleeping))
+        assert not shared_parts(sim)
+        ALONE[sleeping] = outcome(sim)
+    return ALONE[sleeping]
+
+
 def shared_parts(sim):
     (shard,) = sim._world.shards
     return [part for part in shard.stages.parts._parts if isinstance(part, step_parts.SharedPart)]
@@ -49,13 +61,10 @@ def shared_parts(sim):
 
 @pytest.mark.parametrize("sleeping", [False, True], ids=["", "sleeping"])
 def test_no_bit_depends_on_the_number_of_workers(on_workers, sleeping):
-    settings = Settings(sleeping=sleeping)
-    alone = on_workers(1, settings=settings)
-    assert not shared_parts(alone)
-    expected = outcome(alone)
+    expected = alone(on_workers, sleeping)
     assert any(step["islands_rounds"] != [0] for step in expected[2]), "nothing is solved in rounds"
-    for count in (2, 3, 8):
-        sim = on_workers(count, settings=settings)
+    for count in (3,) if sleeping else (2, 8):
+        sim = on_workers(count, settings=Settings(sleeping=sleeping))
         assert shared_parts(sim) and outcome(sim) == expected
 
 
@@ -66,13 +75,13 @@ def test_threads_that_never_start_or_start_late_are_not_needed(on_workers, monke
         for part in parts if late else parts[:1]:
             work(part)
 
-    expected = outcome(on_workers(1))
+    expected = alone(on_workers)
     monkeypatch.setattr(step_parts, "spread", spread)
     assert outcome(on_workers(3)) == expected
 
 
 def test_simulators_in_threads_share_the_cores(on_workers):
-    expected = outcome(on_workers(1))
+    expected = alone(on_workers)
     sims = [on_workers(2), on_workers(3)]
     assert at_once(outcome, sims) == [expected, expected]
 

@@ -84,8 +84,14 @@ def test_bodies_stay_in_a_vessel_with_thin_walls(device, vessel, body, share):
     assert np.abs(speed).max() < 0.5
 
 
-@pytest.mark.parametrize("speed", [5.0, 20.0])
-@pytest.mark.parametrize("body", [*BODIES, "bunny"])
+@pytest.mark.parametrize(
+    ("body", "speed"),
+    [
+        *((body, speed) for body in BODIES for speed in (5.0, 20.0)),
+        ("bunny", 20.0),
+        pytest.param("bunny", 5.0, marks=pytest.mark.long),
+    ],
+)
 def test_a_wall_of_a_thousandth_stops_what_moves_twice_its_size_in_a_step(device, body, speed):
     """0.3 mm, at 1/240 s. The walls are high, as what lands on a corner jumps out of a low tray."""
     count = 24
