@@ -7,7 +7,10 @@ from PIL import Image
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 import warp_rigid as wr
+from tests.usd_tools import start_of, validator_errors
+from warp_rigid.render.textures import mean_color
 from warp_rigid.rotations import rotate
+from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.look import Look
 from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 
@@ -194,3 +197,102 @@ def test_coordinates_that_are_refused(uv, message):
 def test_an_image_must_be_a_path():
     with pytest.raises(ValueError, match=r"^image: must be the path of a file, got 3"):
         Look(image=3)
+
+
+def imported(folder):
+    """The scene of a file with a textured prism, in a folder of its own."""
+    folder.mkdir()
+    checker(folder / "image.png")
+    points, polygons = prism()
+    stage_with_prism(folder / "l.usda", "faceVarying", (points @ MAP.T)[np.concatenate(polygons)])
+    return wr.import_usd(folder / "l.usda")
+
+
+def textured_meshes(path):
+    """By pxr alone: of each mesh with an image, its corners, their coordinates and the path of the image."""
+    found, stage = [], Usd.Stage.Open(str(path))
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        if not prim.IsA(UsdGeom.Mesh) or not material:
+            continue
+        sources = material.ComputeSurfaceSource()[0].GetInput("diffuseColor").GetConnectedSources()[0]
+        texture = UsdShade.Shader(sources[0].source.GetPrim()) if sources else None
+        if texture is None or texture.GetIdAttr().Get() != "UsdUVTexture":
+            continue
+        (coordinates,) = texture.GetInput("st").GetConnectedSources()[0]
+        reader = UsdShade.Shader(coordinates.source.GetPrim())
+        assert reader.GetIdAttr().Get() == "UsdPrimvarReader_float2"
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(reader.GetInput("varname").Get())
+        assert primvar.GetInterpolation() == "faceVarying"
+        corners = np.array(prim.GetAttribute("faceVertexIndices").Get())
+        points = np.array(prim.GetAttribute("points").Get())[corners]
+        found.append((points, np.array(primvar.Get()), texture.GetInput("file").Get()))
+    return found
+
+
+@pytest.mark.parametrize("profile", ["scene", "animation"])
+@pytest.mark.parametrize(
+    ("suffix", "layout"),
+    [(".usda", "single"), (".usdc", "single"), (".usdc", "payloads"), (".usda", "clips"), (".usdz", "single")],
+)
+def test_textures_are_written(tmp_path, profile, layout, suffix):
+    scene = imported(tmp_path / "assets")
+    scene.add_body(scene.bodies[0].shape, position=(5, 0, 0), name="plain")
+    path = tmp_path / "out" / f"film{suffix}"
+    wr.export_usd(start_of(scene), path, profile=profile, layout=layout)
+    ((points, uv, asset),) = textured_meshes(path)
+    np.testing.assert_allclose(uv, points @ MAP.T, atol=1e-5)
+    if suffix == ".usdz":
+        assert asset.resolvedPath.startswith(str(path)) and mean_color(asset.resolvedPath) == scene.looks[0].color
+    else:
+        assert asset.path.startswith("../") and asset.resolvedPath == str(tmp_path / "assets" / "image.png")
+    assert validator_errors(path) == []
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_textures_survive_a_round_trip(tmp_path, suffix):
+    scene = imported(tmp_path / "assets")
+    path = tmp_path / f"film{suffix}"
+    wr.export_usd(start_of(scene), path, profile="scene")
+    again = wr.import_usd(path)
+    assert again.bodies[0].shape == scene.bodies[0].shape
+    np.testing.assert_array_equal(again.bodies[0].shape.uv, scene.bodies[0].shape.uv)
+    look = again.looks[0]
+    assert look.color == scene.looks[0].color
+    assert look.image == (scene.looks[0].image if suffix != ".usdz" else f"{path}[textures/0_image.png]")
+    wr.export_usd(start_of(again), tmp_path / "again.usdz", profile="scene")
+    final = wr.import_usd(tmp_path / "again.usdz")
+    assert final.bodies[0].shape == scene.bodies[0].shape and final.looks[0].color == look.color
+
+
+def test_a_compound_keeps_the_coordinates_of_its_meshes(tmp_path):
+    """Those of the box, which has none, are projected."""
+    box = trimesh.creation.box((1, 1, 1))
+    mesh = wr.Mesh(box.vertices, box.faces, 16, uv=box.vertices @ MAP.T)
+    scene = wr.Scene()
+    parts = [(wr.Box((0.5, 0.5, 0.5)), (0, 0, 0), (0, 0, 0, 1)), (mesh, (0, 0, 1), (0, 0, 0, 1))]
+    scene.looks[scene.add_body(wr.Compound(parts))] = Look((0.5, 0.5, 0.5), image=tmp_path / "image.png")
+    checker(tmp_path / "image.png")
+    wr.export_usd(start_of(scene), tmp_path / "film.usda", profile="scene")
+    ((points, uv, _),) = textured_meshes(tmp_path / "film.usda")
+    np.testing.assert_allclose(uv[36:], (points[36:] - (0, 0, 1)) @ MAP.T, atol=1e-6)
+    assert np.isfinite(uv).all()
+    again = wr.import_usd(tmp_path / "film.usda")
+    assert again.looks[0].image == str(tmp_path / "image.png")
+    (first, _, _), (second, _, _) = again.bodies[0].shape.children
+    assert first == parts[0][0] and (second.uv == mesh.uv).all()
+
+
+def test_other_colourings_replace_the_images_of_dynamic_bodies(tmp_path):
+    scene = imported(tmp_path / "assets")
+    scene.looks[scene.add_static(scene.bodies[0].shape, position=(5, 0, 0))] = scene.looks[0]
+    wr.export_usd(start_of(scene), tmp_path / "film.usda", profile="scene", color="level")
+    assert len(textured_meshes(tmp_path / "film.usda")) == 1
+
+
+def test_recordings_keep_coordinates(tmp_path):
+    recording = start_of(imported(tmp_path / "assets"))
+    recording.save(tmp_path / "film.npz")
+    again = Recording.load(tmp_path / "film.npz")
+    np.testing.assert_array_equal(again.surfaces[0].uv, recording.surfaces[0].uv)
+    assert again.looks == recording.looks
