@@ -104,18 +104,24 @@ def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) of one USD mesh, and the triangles of its polygons (m, 3)."""
+    points, corners, triangles = usd_corners(mesh)
+    return points, corners[triangles]
+
+
+def usd_corners(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (n, 3) of one USD mesh, the point of each corner of its polygons (c,), and triangles of corners (m, 3)."""
     from pxr import UsdGeom
 
     points = np.array(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
     sides = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
     try:
-        faces = polygons.triangulated(points, corners, sides, ("faceVertexIndices", "faceVertexCounts"))
+        triangles = polygons.triangles_of_corners(points, corners, sides, ("faceVertexIndices", "faceVertexCounts"))
     except ValueError as error:
         raise ValueError(f"{mesh.GetPath()}: {error}") from None
     if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
-        faces = faces[:, ::-1]
-    return points, faces
+        triangles = triangles[:, ::-1]
+    return points, corners, triangles
 
 
 def _turn_z_up(vertices: np.ndarray) -> np.ndarray:

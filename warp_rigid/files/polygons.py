@@ -20,7 +20,14 @@ FLAT = 1e-9
 def triangulated(
     points: np.ndarray, corners: np.ndarray, sides: np.ndarray, names: tuple[str, str] = ("indices", "sizes of faces")
 ) -> np.ndarray:
-    """Divide polygons into triangles (m, 3): fans from their first corners, where all triangles of a fan have an area.
+    """Divide polygons into triangles (m, 3) of points; see `triangles_of_corners`."""
+    return corners[triangles_of_corners(points, corners, sides, names)]
+
+
+def triangles_of_corners(
+    points: np.ndarray, corners: np.ndarray, sides: np.ndarray, names: tuple[str, str] = ("indices", "sizes of faces")
+) -> np.ndarray:
+    """Divide polygons into triangles of corners (m, 3): fans from their first corners, if all triangles have an area.
 
     Others are projected along their normal, the mean over the fan, and divided by the package manifold3d.
 
@@ -29,6 +36,9 @@ def triangulated(
         corners: indices of the corners of all polygons, one after another (c,).
         sides: number of corners of each polygon (p,); those with less than three have no triangles.
         names: of corners and sides in messages.
+
+    Returns:
+        Places in `corners`, so that what belongs to a corner of a polygon can follow it.
 
     Raises:
         ValueError: The arrays do not match each other.
@@ -43,16 +53,16 @@ def triangulated(
     start, first = np.cumsum(sides) - sides, np.cumsum(count) - count
     polygon = np.repeat(np.arange(len(sides)), count)
     second = start[polygon] + np.arange(1, len(polygon) + 1) - first[polygon]
-    faces = corners[np.stack([start[polygon], second, second + 1], axis=1)]
-    a, b, c = (points[faces[:, k]] for k in range(3))
+    triangles = np.stack([start[polygon], second, second + 1], axis=1)
+    a, b, c = (points[corners[triangles[:, k]]] for k in range(3))
     area = np.cross(b - a, c - a)
     normal = np.stack([np.bincount(polygon, area[:, k], minlength=len(sides)) for k in range(3)], axis=1)
     size = np.linalg.norm(normal, axis=1)
     wrong = np.einsum("ij,ij->i", area, normal[polygon]) <= FLAT * size[polygon] ** 2
     for k in np.unique(polygon[wrong & (count[polygon] > 1) & (size[polygon] > 0.0)]).tolist():
         own = corners[start[k] : start[k] + sides[k]]
-        faces[first[k] : first[k] + count[k]] = own[_divided(points[own], normal[k] / size[k])]
-    return faces
+        triangles[first[k] : first[k] + count[k]] = start[k] + _divided(points[own], normal[k] / size[k])
+    return triangles
 
 
 def _divided(points: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ Shared by the USD writer and the renderer, so that both show the same.
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -88,6 +89,19 @@ def body_gloss(count: int, looks: Mapping[int, Look]) -> np.ndarray:
     for body, look in looks.items():
         gloss[body] = look.roughness, look.metallic
     return gloss
+
+
+def drawn_looks(recording: Recording, coloring: str = "body") -> dict[int, Look]:
+    """Looks of bodies by their index, with images only where they are shown.
+
+    These are the bodies whose meshes have texture coordinates, without those that another colouring colours.
+    """
+    dynamic = np.asarray(recording.motion) == Motion.DYNAMIC
+
+    def shown(body: int) -> bool:
+        return recording.surfaces[recording.surface[body]].uv is not None and (coloring == "body" or not dynamic[body])
+
+    return {body: look if shown(body) else replace(look, image=None) for body, look in recording.looks.items()}
 
 
 def environment_colors(env) -> np.ndarray:

@@ -26,6 +26,7 @@ class DrawnSurface:
         swing: (2, n) float32, sine and cosine amplitudes of the vertical vertex displacement about `vertices` [m];
             empty for a surface of constant shape.
         angular_frequency: of that displacement [rad/s].
+        uv: (m, 3, 2) float32, texture coordinates of the corners, NaN where a part has none; None without.
     """
 
     vertices: np.ndarray
@@ -33,6 +34,7 @@ class DrawnSurface:
     endless: bool = False
     swing: np.ndarray = field(default_factory=_no_swing)
     angular_frequency: float = 0.0
+    uv: np.ndarray | None = None
 
     @property
     def moves(self) -> bool:
@@ -73,4 +75,5 @@ def drawn_surface(shape: Shape) -> DrawnSurface:
         not np.isfinite(np.asarray(shape.bounds)).all(),
         swing,
         frequency,
+        shape.surface_uv(),
     )

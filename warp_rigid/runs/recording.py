@@ -176,6 +176,8 @@ class Recording:
             arrays[f"vertices_{index}"] = surface.vertices
             arrays[f"faces_{index}"] = surface.faces
             arrays[f"swing_{index}"] = surface.swing
+            if surface.uv is not None:
+                arrays[f"uv_{index}"] = surface.uv
         text = {
             "fps": self.fps,
             "labels": self.labels,
@@ -498,7 +500,8 @@ def _surface(arrays: Mapping[str, np.ndarray], index: int, endless: bool, freque
     swing = shaped(arrays, f"swing_{index}", np.float32, (2, None))
     if swing.shape[1] not in (0, len(vertices)):
         raise ValueError(f"swing_{index} must have {len(vertices)} columns")
-    return DrawnSurface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0))
+    uv = shaped(arrays, f"uv_{index}", np.float32, (len(faces), 3, 2)) if f"uv_{index}" in arrays else None
+    return DrawnSurface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0), uv)
 
 
 def _quantities(arrays: Mapping[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:

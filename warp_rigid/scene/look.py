@@ -1,8 +1,9 @@
 """Look: what the surface of a body looks like, as plain data."""
 
+import os
 from dataclasses import dataclass
 
-from warp_rigid.checks import finite_vector, number_in, whole_in
+from warp_rigid.checks import finite_vector, number_in, shown, whole_in
 
 
 @dataclass(frozen=True)
@@ -13,6 +14,8 @@ class Look:
         color: (3,) linear RGB from 0 to 1; None for the colour that bodies have by their index.
         roughness: 0 for a mirror to 1 for a matt surface.
         metallic: 0 for others to 1 for metals, whose reflections have their colour.
+        image: path of an image, also in a package, "film.usdz[image.png]", made absolute. Pictures, films and USD
+            files show it, instead of the colour, on meshes with `uv`.
 
     Raises:
         ValueError: A value is outside its range.
@@ -21,6 +24,7 @@ class Look:
     color: tuple[float, float, float] | None = None
     roughness: float = 0.5
     metallic: float = 0.0
+    image: str | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -29,11 +33,16 @@ class Look:
             object.__setattr__(self, "color", tuple(number_in("color", part, 0.0, 1.0) for part in color))
         for name in ("roughness", "metallic"):
             object.__setattr__(self, name, number_in(name, getattr(self, name), 0.0, 1.0))
+        if self.image is not None:
+            image: object = self.image
+            if not isinstance(image, str | os.PathLike) or not os.fspath(image):
+                raise ValueError(f"image: must be the path of a file, got {shown(image)}")
+            object.__setattr__(self, "image", os.path.abspath(os.fspath(image)))
 
 
 def looks_to_data(looks: dict[int, Look]) -> list[list]:
     """Looks of bodies by index as plain data."""
-    return [[body, look.color, look.roughness, look.metallic] for body, look in sorted(looks.items())]
+    return [[body, look.color, look.roughness, look.metallic, look.image] for body, look in sorted(looks.items())]
 
 
 def looks_from_data(data: list[list], bodies: int) -> dict[int, Look]:

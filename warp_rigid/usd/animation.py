@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from warp_rigid.render.appearance import body_gloss, bound_corners, frame_colors
+from warp_rigid.render.appearance import body_gloss, bound_corners, drawn_looks, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Frame, Recording, is_moving
+from warp_rigid.scene.look import Look
 from warp_rigid.scene.scene import Motion
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
+from warp_rigid.usd.stage_look import define_surface
 
 NAMES = Sdf.ValueTypeNames
 
@@ -63,7 +65,8 @@ class Instancers:
             frame: the first frame.
         """
         colors = frame_colors(self._color, self._film, self._row, frame)
-        for name, bodies in _groups(self._film).items():
+        looks = drawn_looks(self._film, self._color)
+        for name, bodies in _groups(self._film, looks).items():
             surface = self._film.surface[bodies[0]]
             group = _Group(
                 bodies,
@@ -73,6 +76,9 @@ class Instancers:
                 colors[bodies],
             )
             self._define_group(samples, f"{root}/{name}", group, library, frame)
+            look = looks.get(int(bodies[0]))
+            if look and look.image:
+                self._paint(samples.layer, f"{root}/{name}/Prototypes", colors[bodies[0]], look, library)
             self._paths |= dict.fromkeys(bodies.tolist(), f"{root}/{name}")
             self._groups.append(group)
 
@@ -111,6 +117,13 @@ class Instancers:
             vertex = "vertex" if name.startswith("primvars:") else ""
             attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)
             group.tracks[name] = samples.track(attribute)
+
+    @staticmethod
+    def _paint(layer: Sdf.Layer, prototypes: str, color: np.ndarray, look: Look, library: Library) -> None:
+        """Give the prototype of instances a material with the image of their look."""
+        define_surface(layer, f"{prototypes}/paint", color, look, library.images)
+        prototype = define(layer, f"{prototypes}/shape", "Mesh", ["MaterialBindingAPI"])
+        set_relationship(prototype, "material:binding", f"{prototypes}/paint")
 
     def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
         """Write the values that changed since the previous frame."""
@@ -170,13 +183,16 @@ def _center(film: Recording, body: int) -> np.ndarray:
     return film.scene.bodies[body].shape.center_of_mass
 
 
-def _groups(film: Recording) -> dict[str, np.ndarray]:
-    """Bodies grouped by surface and motion, by prim name."""
+def _groups(film: Recording, looks: dict[int, Look]) -> dict[str, np.ndarray]:
+    """Bodies grouped by surface, motion and look with an image, by prim name."""
+    images = {look: number for number, look in enumerate(dict.fromkeys(looks.values()), 1) if look.image}
+    image = np.array([images.get(looks[body], 0) if body in looks else 0 for body in range(len(film.motion))])
     groups = {}
     for index in range(len(film.surfaces)):
         for motion in Motion:
-            bodies = np.flatnonzero((film.surface == index) & (film.motion == motion))
-            if len(bodies):
+            alike = (film.surface == index) & (film.motion == motion)
+            for number in np.unique(image[alike]):
+                bodies = np.flatnonzero(alike & (image == number))
                 name = Tf.MakeValidIdentifier(film.names[bodies[0]])
                 groups[name if name not in groups else f"{name}_{bodies[0]}"] = bodies
     return groups

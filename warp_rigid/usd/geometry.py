@@ -1,7 +1,7 @@
 """Conversions between the frames of this package and of USD."""
 
 import numpy as np
-from pxr import Gf
+from pxr import Gf, Usd
 
 from warp_rigid.scene.shapes import Plane
 
@@ -10,6 +10,12 @@ MARK = "warp_rigid"
 
 FOLLOWS_PATH = "followsPath"
 """Name in it: the animation of a kinematic body is its path, and not only a film of it."""
+
+
+def custom_data(prim: Usd.Prim) -> dict:
+    """Custom data that this package writes for content without a USD schema."""
+    found = prim.GetCustomDataByKey(MARK)
+    return found if isinstance(found, dict) else {}
 
 
 def gf_quaternion(orientation) -> Gf.Quatf:

@@ -16,6 +16,7 @@ from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfiel
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
+from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.materials import write_material
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
 from warp_rigid.usd.stage_look import define_surface
@@ -35,11 +36,12 @@ class Library:
         layer: layer of the definitions.
         root: path of the class prim.
         time: time of the first frame [s].
+        images: names the images of looks.
     """
 
-    def __init__(self, layer: Sdf.Layer, root: str, time: float):
+    def __init__(self, layer: Sdf.Layer, root: str, time: float, images: ImagePaths):
         """Define the class prim."""
-        self.layer, self.root, self._time = layer, root, time
+        self.layer, self.root, self._time, self.images = layer, root, time, images
         self._samples = SampleWriter(layer)
         self._moving: dict[str, tuple[DrawnSurface, list[Track]]] = {}
         self._colliders: dict[tuple[str, tuple[float, ...]], str] = {}
@@ -64,7 +66,7 @@ class Library:
 
     def _write(self, prim: Sdf.PrimSpec, surface: DrawnSurface) -> None:
         """Write the triangles of the first frame, and track those of a moving surface."""
-        write_mesh(prim, surface.vertices_at(self._time), surface.faces)
+        write_mesh(prim, surface.vertices_at(self._time), surface.faces, surface.uv)
         if surface.moves:
             tracks = [self._samples.track(prim.attributes[name]) for name in ("points", "normals", "extent")]
             self._moving[str(prim.path)] = surface, tracks
@@ -106,7 +108,7 @@ class Library:
             if separate and simple_shapes(shape):
                 surface = drawn_surface(shape)
                 mesh = define(self.layer, f"{path}/{RENDERED}", "Mesh", ["MaterialBindingAPI"])
-                write_mesh(mesh, surface.vertices, surface.faces)
+                write_mesh(mesh, surface.vertices, surface.faces, surface.uv)
         return self._colliders[key]
 
     def painted(self, colliders: str, color: np.ndarray, look: Look | None = None) -> str:
@@ -119,7 +121,7 @@ class Library:
             path = f"{self.root}/painted_{len(self._painted)}"
             self._painted[key] = path
             self.add_reference(define(self.layer, path, "Xform"), colliders)
-            define_surface(self.layer, f"{path}/paint", color, look)
+            define_surface(self.layer, f"{path}/paint", color, look, self.images)
             for child in self.layer.GetPrimAtPath(colliders).nameChildren:
                 if child.typeName == "Mesh" and child.attributes.get("purpose") is None:
                     over = define(self.layer, f"{path}/{child.name}", specifier=Sdf.SpecifierOver)
@@ -127,8 +129,8 @@ class Library:
         return self._painted[key]
 
 
-def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Write triangles with normals, without subdivision."""
+def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray | None = None) -> None:
+    """Write triangles with normals and texture coordinates, which are projected where they are not given."""
     names = Sdf.ValueTypeNames
     points = np.ascontiguousarray(vertices, dtype=np.float32)
     corners = np.ascontiguousarray(faces, dtype=np.int32)
@@ -139,27 +141,29 @@ def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> N
     set_attribute(prim, "faceVertexIndices", names.IntArray, Vt.IntArray.FromNumpy(corners.reshape(-1)))
     set_attribute(prim, "normals", names.Normal3fArray, vec3f(normals), interpolation="faceVarying")
     st = _texture_coordinates(points, corners, normals)
-    set_attribute(prim, "primvars:st", names.TexCoord2fArray, st, interpolation="faceVarying")
+    if uv is not None:
+        st = np.where(np.isnan(uv), st, uv)
+    coordinates = Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(st.reshape(-1, 2), dtype=np.float32))
+    set_attribute(prim, "primvars:st", names.TexCoord2fArray, coordinates, interpolation="faceVarying")
     set_attribute(prim, "subdivisionScheme", names.Token, "none", uniform=True)
     set_attribute(prim, "extent", names.Float3Array, _extent(points))
     # Open surfaces are visible from inside.
     set_attribute(prim, "doubleSided", names.Bool, True, uniform=True)
 
 
-def _texture_coordinates(points: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> Vt.Vec2fArray:
-    """Coordinates of an image, one per corner, from 0 to 1 along the longest side of the shape.
+def _texture_coordinates(points: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Coordinates of an image at the corners (m, 3, 2), from 0 to 1 along the longest side of the shape.
 
     Each triangle is projected along the axis closest to its normal, so that an image lies on the sides of a box.
     """
     if not len(corners):
-        return Vt.Vec2fArray()
+        return np.zeros((0, 3, 2))
     lower = points.min(axis=0)
     scaled = ((points - lower) / max(float(np.ptp(points, axis=0).max()), 1e-30))[corners]
     axis = np.abs(normals.reshape(-1, 3, 3).mean(axis=1)).argmax(axis=1)
     first, second = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
     rows = np.arange(len(corners))[:, None], np.arange(3)[None]
-    flat = np.stack([scaled[*rows, first[:, None]], scaled[*rows, second[:, None]]], axis=-1)
-    return Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(flat.reshape(-1, 2), dtype=np.float32))
+    return np.stack([scaled[*rows, first[:, None]], scaled[*rows, second[:, None]]], axis=-1)
 
 
 def _extent(points: np.ndarray) -> Vt.Vec3fArray:
@@ -231,7 +235,10 @@ def _(shape: Mesh, prim: Sdf.PrimSpec, time: float) -> None:
     _write_triangles(prim, shape, "NewtonSDFCollisionAPI")
     rounded = -(-shape.sdf_resolution // SDF_BLOCK) * SDF_BLOCK
     set_attribute(prim, "newton:sdfMaxResolution", Sdf.ValueTypeNames.Int, rounded, uniform=True)
-    prim.SetInfo("customData", {MARK: {"sdfResolution": shape.sdf_resolution}})
+    data: dict[str, Any] = {"sdfResolution": shape.sdf_resolution}
+    if shape.uv is not None:
+        data["uv"] = True
+    prim.SetInfo("customData", {MARK: data})
 
 
 @_write_geometry.register
@@ -260,7 +267,7 @@ def _write_triangles(prim: Sdf.PrimSpec, shape: Shape, *apis: str) -> None:
     """Exact triangles that collide as a mesh."""
     schemas = [*prim.GetInfo("apiSchemas").prependedItems, "PhysicsMeshCollisionAPI", *apis]
     prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=schemas))
-    write_mesh(prim, *shape.surface())
+    write_mesh(prim, *shape.surface(), shape.surface_uv())
     set_attribute(prim, "physics:approximation", Sdf.ValueTypeNames.Token, "none", uniform=True)
 
 

@@ -1,29 +1,47 @@
 """Looks of the bodies of imported files: their UsdPreviewSurface materials and display colours."""
 
-import io
+from typing import Any, NamedTuple
 
 import numpy as np
-from pxr import Ar, Sdf, Usd, UsdGeom, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
-from warp_rigid.render.appearance import linear_light
+from warp_rigid.render.textures import mean_color
 from warp_rigid.scene.look import Look
-from warp_rigid.usd.prims import custom_data
+from warp_rigid.usd.geometry import custom_data
 
 PREVIEW = "UsdPreviewSurface"
 DIFFUSE = (0.18, 0.18, 0.18)
 NUMBERS = {"roughness": 0.5, "metallic": 0.0}
 """Values of its inputs where a file states none."""
-LARGEST_FILE, LARGEST_IMAGE = 2**26, 2**26
-"""Largest size of an image that is read [bytes], and number of its pixels."""
-SAMPLED = 64
-"""Width and height to which an image is reduced before its colours are averaged [pixel]."""
 
 
-def read_look(body: Usd.Prim) -> Look | None:
+class Texture(NamedTuple):
+    """The image of a diffuse colour.
+
+    Attributes:
+        image: path of the file, or of a file in a package.
+        varname: name of the primvar of its coordinates.
+        scale: (2,) of a transform of the coordinates.
+        rotation: of that transform [degree].
+        translation: (2,) of that transform.
+    """
+
+    image: str
+    varname: str = "st"
+    scale: tuple[float, float] = (1.0, 1.0)
+    rotation: float = 0.0
+    translation: tuple[float, float] = (0.0, 0.0)
+
+
+def read_look(body: Usd.Prim, has_uv: bool) -> Look | None:
     """The look of the first geometry of a body; None if the file states nothing about it.
 
-    The image of a texture is read as its mean colour. Of files written by this package, only the looks that were
-    imported before count, not the colours that tell bodies apart.
+    The colour of an image is its mean, which is shown where the image is not. Of files written by this package, only
+    the looks that were imported before count, not the colours that tell bodies apart.
+
+    Args:
+        body: prim of the body.
+        has_uv: whether its shape has texture coordinates, without which the image is not kept.
     """
     written = "motion" in custom_data(body)
     for prim in Usd.PrimRange(body, Usd.TraverseInstanceProxies()):
@@ -33,19 +51,67 @@ def read_look(body: Usd.Prim) -> Look | None:
                 return None
             shader = material.ComputeSurfaceSource()[0] if material else None
             if shader and shader.GetIdAttr().Get() == PREVIEW:
-                return _of_shader(shader, prim)
+                return _of_shader(shader, prim, has_uv)
             color = _primvar(prim, "displayColor")
             return None if color is None else Look(color, roughness=1.0)
     return None
 
 
-def _of_shader(shader: UsdShade.Shader, prim: Usd.Prim) -> Look:
+def texture_of(prim: Usd.Prim) -> Texture | None:
+    """The texture of the material of a geometry; None without one whose file exists."""
+    material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    shader = material.ComputeSurfaceSource()[0] if material else None
+    return _texture(_source(shader, "diffuseColor")) if shader and shader.GetIdAttr().Get() == PREVIEW else None
+
+
+def _texture(source: UsdShade.Shader | None) -> Texture | None:
+    """The texture that a UsdUVTexture describes."""
+    asset = _value(source, "file") if _kind(source) == "UsdUVTexture" else None
+    if not isinstance(asset, Sdf.AssetPath) or not asset.resolvedPath:
+        return None
+    transform = {}
+    reader = _source(source, "st")
+    if _kind(reader) == "UsdTransform2d":
+        found = {name: _value(reader, name) for name in ("scale", "rotation", "translation")}
+        transform = {name: _plain(value) for name, value in found.items() if value is not None}
+        reader = _source(reader, "in")
+    name = _value(reader, "varname") if _kind(reader).startswith("UsdPrimvarReader") else None
+    return Texture(str(asset.resolvedPath), str(name or "st"), **transform)
+
+
+def _plain(value: Any) -> Any:
+    """A number or a vector of USD as plain numbers."""
+    return tuple(value) if isinstance(value, Gf.Vec2f) else float(value)
+
+
+def _kind(shader: UsdShade.Shader | None) -> str:
+    """Identifier of a shader; empty without one."""
+    return str(shader.GetIdAttr().Get()) if shader else ""
+
+
+def _source(shader: UsdShade.Shader | None, name: str) -> UsdShade.Shader | None:
+    """The shader that an input is connected to, also through the inputs of materials and node graphs."""
+    entry = shader.GetInput(name) if shader else None
+    found = entry.GetValueProducingAttributes() if entry else []
+    is_output = found and UsdShade.Utils.GetType(found[0].GetName()) == UsdShade.AttributeType.Output
+    return UsdShade.Shader(found[0].GetPrim()) if is_output else None
+
+
+def _value(shader: UsdShade.Shader | None, name: str) -> Any:
+    """The value of an input, also one of the material that it is connected to."""
+    entry = shader.GetInput(name) if shader else None
+    found = entry.GetValueProducingAttributes() if entry else []
+    return found[0].Get() if found else None
+
+
+def _of_shader(shader: UsdShade.Shader, prim: Usd.Prim, has_uv: bool) -> Look:
     numbers = dict(NUMBERS)
     for name in NUMBERS:
         value = shader.GetInput(name).Get() if shader.GetInput(name) else None
         if isinstance(value, float) and np.isfinite(value):
             numbers[name] = float(np.clip(value, 0.0, 1.0))
-    return Look(_color(shader, prim), **numbers)
+    texture = _texture(_source(shader, "diffuseColor")) if has_uv else None
+    return Look(_color(shader, prim), **numbers, image=None if texture is None else texture.image)
 
 
 def _color(shader: UsdShade.Shader, prim: Usd.Prim) -> tuple[float, float, float] | None:
@@ -53,16 +119,14 @@ def _color(shader: UsdShade.Shader, prim: Usd.Prim) -> tuple[float, float, float
     entry = shader.GetInput("diffuseColor")
     if not entry:
         return DIFFUSE
-    sources = entry.GetConnectedSources()[0]
-    if not sources:
-        return _checked(entry.Get())
-    source = UsdShade.Shader(sources[0].source.GetPrim())
-    kind = str(source.GetIdAttr().Get()) if source else ""
-    if kind.startswith("UsdPrimvarReader") and source.GetInput("varname"):
-        return _primvar(prim, str(source.GetInput("varname").Get()))
-    if kind == "UsdUVTexture" and source.GetInput("file"):
-        return _mean_of_image(source.GetInput("file").Get())
-    return _checked(entry.Get())
+    source = _source(shader, "diffuseColor")
+    if _kind(source).startswith("UsdPrimvarReader"):
+        return _primvar(prim, str(_value(source, "varname")))
+    if _kind(source) == "UsdUVTexture":
+        texture = _texture(source)
+        fallback = _value(source, "fallback")
+        return (texture and mean_color(texture.image)) or (_checked(fallback[:3]) if fallback is not None else None)
+    return _checked(_value(shader, "diffuseColor"))
 
 
 def _primvar(prim: Usd.Prim, name: str) -> tuple[float, float, float] | None:
@@ -80,22 +144,3 @@ def _checked(value) -> tuple[float, float, float] | None:
         return None
     r, g, b = np.clip(numbers.mean(axis=0), 0.0, 1.0).tolist()
     return r, g, b
-
-
-def _mean_of_image(asset: Sdf.AssetPath) -> tuple[float, float, float] | None:
-    """Mean colour of an image file, also in a .usdz package; None if it cannot be read."""
-    try:
-        from PIL import Image
-    except ImportError:
-        return None
-    try:
-        opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath)) if asset.resolvedPath else None
-        if opened is None or opened.GetSize() > LARGEST_FILE:
-            return None
-        with Image.open(io.BytesIO(bytes(opened.GetBuffer()))) as image:
-            if image.width * image.height > LARGEST_IMAGE:
-                return None
-            small = image.convert("RGB").resize((SAMPLED, SAMPLED), Image.Resampling.BOX)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return None
-    return _checked(linear_light(np.asarray(small, np.float64)).reshape(-1, 3).mean(axis=0))

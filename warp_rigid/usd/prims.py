@@ -7,7 +7,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.files.mesh_files import usd_triangles
+from warp_rigid.files.mesh_files import usd_corners, usd_triangles
 from warp_rigid.scene.shapes import (
     Box,
     Capsule,
@@ -20,7 +20,8 @@ from warp_rigid.scene.shapes import (
     Sphere,
     tessellation,
 )
-from warp_rigid.usd.geometry import MARK, quaternion_of_matrix
+from warp_rigid.usd.geometry import MARK, custom_data, quaternion_of_matrix
+from warp_rigid.usd.texture_coordinates import read_uv
 
 SCALE_TOLERANCE = 1e-5
 """Relative tolerance within which scales count as uniform."""
@@ -36,12 +37,6 @@ def described(objects: dict, kinds: Iterable[Any]) -> Iterator[tuple[str, Any]]:
     for kind in kinds:
         for path, description in zip(*objects.get(kind, ([], [])), strict=True):
             yield str(path), description
-
-
-def custom_data(prim: Usd.Prim) -> dict:
-    """Custom data that this package writes for content without a USD schema."""
-    found = prim.GetCustomDataByKey(MARK)
-    return found if isinstance(found, dict) else {}
 
 
 def value_of(prim: Usd.Prim, name: str, otherwise: Any) -> Any:
@@ -173,7 +168,8 @@ def _is_uniform(scale: np.ndarray) -> bool:
 
 def _mesh(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[str]) -> Shape:
     """A mesh collider or a height field."""
-    vertices, faces = usd_triangles(UsdGeom.Mesh(prim))
+    vertices, corners, triangles = usd_corners(UsdGeom.Mesh(prim))
+    faces = corners[triangles]
     custom = custom_data(prim)
     if "heightfieldRows" in custom and np.array_equal(matrix, np.eye(4)):
         rows, columns = (
@@ -192,9 +188,11 @@ def _mesh(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[s
     approximation = str(attribute.Get()) if attribute and attribute.HasAuthoredValue() else "none"
     if approximation not in ("none", "sdf"):
         notes.append(f"approximation {approximation} is ignored: the mesh itself collides")
+    uv = read_uv(prim, corners, triangles, notes)
     if "sdfResolution" in custom:
-        return _mesh_in_frame(vertices, faces, matrix, custom["sdfResolution"], [])
-    return _mesh_in_frame(vertices, faces, matrix, _resolution(prim, vertices, matrix, sdf_resolution, notes), notes)
+        return _mesh_in_frame(vertices, faces, matrix, custom["sdfResolution"], [], uv)
+    resolution = _resolution(prim, vertices, matrix, sdf_resolution, notes)
+    return _mesh_in_frame(vertices, faces, matrix, resolution, notes, uv)
 
 
 def _heightfield_arguments(custom: dict, heights: np.ndarray, size: np.ndarray) -> tuple:
@@ -225,14 +223,15 @@ def _resolution(prim: Usd.Prim, vertices, matrix, default: int, notes: list[str]
     return default
 
 
-def _mesh_in_frame(vertices, faces, matrix: np.ndarray, sdf_resolution: int, notes: list[str]) -> Mesh:
+def _mesh_in_frame(vertices, faces, matrix: np.ndarray, sdf_resolution: int, notes: list[str], uv=None) -> Mesh:
     """A transformed mesh; a reflection reverses the winding of its triangles."""
     if not np.array_equal(matrix, np.eye(4)):
         vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         faces = faces[:, ::-1]
+        uv = None if uv is None else uv[:, ::-1]
     try:
-        mesh = Mesh(vertices, faces, sdf_resolution)
+        mesh = Mesh(vertices, faces, sdf_resolution, uv=uv)
     except ValueError as error:
         raise Unreadable(str(error)) from None
     if not mesh.watertight:

@@ -18,7 +18,7 @@ from warp_rigid.usd.actuators import ACTUATOR
 from warp_rigid.usd.cameras import read_camera
 from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs, linked
-from warp_rigid.usd.geometry import FOLLOWS_PATH, polar, quaternion_of_matrix
+from warp_rigid.usd.geometry import FOLLOWS_PATH, custom_data, polar, quaternion_of_matrix
 from warp_rigid.usd.instancing import OF_ORIGIN, expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
@@ -26,7 +26,7 @@ from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.preview_surface import read_look
-from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, described, matrix_of
+from warp_rigid.usd.prims import Unreadable, convert_prim, described, matrix_of
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
 
 EARTH_GRAVITY = 9.81
@@ -347,7 +347,7 @@ class Reader:
             self.leave_out(body.prim.GetPath(), str(error))
             return
         self.body_of |= {str(collider.prim.GetPath()): index for collider in group}
-        look = read_look(body.prim)
+        look = read_look(body.prim, shape.surface_uv() is not None)
         if look is not None:
             scene.looks[index] = look
         self._keep_index(body, index)

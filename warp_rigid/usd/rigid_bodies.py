@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from warp_rigid.render.appearance import frame_colors
+from warp_rigid.render.appearance import drawn_looks, frame_colors
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -59,6 +59,7 @@ class Bodies:
         self._position = frame.position[self._row].copy()
         self._orientation = frame.orientation[self._row].copy()
         self._colors = frame_colors(self._color, self._film, self._row, frame)
+        looks = drawn_looks(self._film, self._color)
         # USD velocities are in the body frame, angular ones in degrees.
         back = inverse(self._orientation)
         self._velocity = vec3f(rotate(back, start["linear_velocity"][self._row]))
@@ -72,8 +73,9 @@ class Bodies:
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
             coefficients = {name: float(start[name][self._row, index]) for name in COEFFICIENTS}
             path = library.collider(body.shape, coefficients)
-            if self._color in CONSTANT_COLORINGS:
-                path = library.painted(path, self._colors[index], self._film.looks.get(index))
+            look = looks.get(index)
+            if self._color in CONSTANT_COLORINGS or (look and look.image):
+                path = library.painted(path, self._colors[index], look)
             library.add_reference(geometry, path)
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             paths.append(f"{root}/{name}")

@@ -10,6 +10,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.look import Look
 from warp_rigid.usd.cameras import place_prim
 from warp_rigid.usd.geometry import MARK
+from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 
 NAMES = Sdf.ValueTypeNames
@@ -57,18 +58,40 @@ def define_look(layer: Sdf.Layer, world: str, glossy: bool) -> None:
 def _read_primvar(attribute: Sdf.AttributeSpec, path: str, name: str, kind: Sdf.ValueTypeName) -> Sdf.PrimSpec:
     """Connect an input of a shader to a primvar, through a reader at a path."""
     reader = define(attribute.layer, path, "Shader")
-    suffix = "float3" if kind == NAMES.Float3 else "float"
-    set_attribute(reader, "info:id", NAMES.Token, f"UsdPrimvarReader_{suffix}", uniform=True)
+    set_attribute(reader, "info:id", NAMES.Token, f"UsdPrimvarReader_{kind}", uniform=True)
     set_attribute(reader, "inputs:varname", NAMES.String, name)
     set_attribute(reader, "outputs:result", kind)
     attribute.connectionPathList.explicitItems = [Sdf.Path(f"{path}.outputs:result")]
     return reader
 
 
+def _read_image(attribute: Sdf.AttributeSpec, path: str, asset: str, color: np.ndarray | None) -> None:
+    """Connect the colour of a material at a path to an image; the colour (3,) is for readers that do not find it."""
+    texture = define(attribute.layer, f"{path}/image", "Shader")
+    set_attribute(texture, "info:id", NAMES.Token, "UsdUVTexture", uniform=True)
+    set_attribute(texture, "inputs:file", NAMES.Asset, Sdf.AssetPath(asset))
+    set_attribute(texture, "inputs:sourceColorSpace", NAMES.Token, "sRGB")
+    for axis in "ST":
+        set_attribute(texture, f"inputs:wrap{axis}", NAMES.Token, "repeat")
+    if color is not None:
+        set_attribute(texture, "inputs:fallback", NAMES.Float4, Gf.Vec4f(*(float(part) for part in color), 1.0))
+    set_attribute(texture, "outputs:rgb", NAMES.Float3)
+    coordinates = set_attribute(texture, "inputs:st", NAMES.Float2)
+    _read_primvar(coordinates, f"{path}/st_reader", "st", NAMES.Float2)
+    attribute.connectionPathList.explicitItems = [Sdf.Path(f"{path}/image.outputs:rgb")]
+
+
 def define_surface(
-    layer: Sdf.Layer, path: str, color: np.ndarray | None = None, look: Look | None = None
+    layer: Sdf.Layer,
+    path: str,
+    color: np.ndarray | None = None,
+    look: Look | None = None,
+    images: ImagePaths | None = None,
 ) -> Sdf.AttributeSpec:
-    """Define a material of one colour (3,) with the gloss of a look, and return the attribute of the colour."""
+    """Define a material of one colour (3,) with the gloss and the image of a look; returns the attribute of the colour.
+
+    The image is written if `images` names it.
+    """
     material = define(layer, path, "Material")
     surface = define(layer, f"{path}/surface", "Shader")
     set_attribute(surface, "info:id", NAMES.Token, "UsdPreviewSurface", uniform=True)
@@ -77,7 +100,10 @@ def define_surface(
         set_attribute(surface, "inputs:metallic", NAMES.Float, look.metallic)
         material.SetInfo("customData", {MARK: {"look": True}})
     diffuse = set_attribute(surface, "inputs:diffuseColor", NAMES.Color3f)
-    if color is not None:
+    asset = images.asset(look.image, layer) if images and look and look.image else None
+    if asset is not None:
+        _read_image(diffuse, path, asset, color)
+    elif color is not None:
         diffuse.default = Gf.Vec3f(*(float(part) for part in color))
     set_attribute(surface, "outputs:surface", NAMES.Token)
     output = set_attribute(material, "outputs:surface", NAMES.Token)

@@ -15,6 +15,7 @@ from warp_rigid.usd.animation import Instancers
 from warp_rigid.usd.cameras import CameraWriter
 from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.geometry import MARK
+from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
@@ -184,7 +185,8 @@ class UsdWriter:
             base = self._new_part("shapes", "Shapes") if separate else self._root
         define_look(self._root, WORLD, bool(self._film.looks))
         self._camera = CameraWriter(self._root, f"{WORLD}/Camera", self._film, int(self._rows[0]), frame)
-        self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time)
+        images = ImagePaths(Path(self._root.realPath), self._path, self._is_package)
+        self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time, images)
         if self._profile == "animation":
             for index, surface in enumerate(self._film.surfaces):
                 self._library.mesh(index, surface)

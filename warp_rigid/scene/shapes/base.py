@@ -188,6 +188,10 @@ class Shape:
         """Triangles that face outward: vertices (n, 3) float64 [m], faces (m, 3) int32."""
         raise NotImplementedError
 
+    def surface_uv(self) -> np.ndarray | None:
+        """Texture coordinates of the corners of `surface()`, (m, 3, 2) float32, NaN where a part has none; or None."""
+        return None
+
     @property
     def grid_nodes(self) -> int:
         """Number of grid values among the parts, without computing them."""

@@ -223,6 +223,18 @@ class Compound(Shape):
             count += len(child_vertices)
         return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
 
+    def surface_uv(self) -> np.ndarray | None:
+        """Those of the children, in order."""
+        found = [shape.surface_uv() for shape, _, _ in self.children]
+        if all(uv is None for uv in found):
+            return None
+        return np.concatenate(
+            [
+                np.full((len(shape.surface()[1]), 3, 2), np.nan, np.float32) if uv is None else uv
+                for (shape, _, _), uv in zip(self.children, found, strict=True)
+            ]
+        )
+
 
 def with_distribution(shape: Shape, center_of_mass: ArrayLike, inertia_per_mass: ArrayLike) -> Compound:
     """The same solid with another distribution of its mass; see Compound."""

@@ -13,7 +13,7 @@ from warp_rigid.checks import shown, whole_in
 from warp_rigid.files import mesh_files
 from warp_rigid.scene.shapes import distance_grid, inner_balls, mass_properties, topology
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
-from warp_rigid.scene.shapes.mesh_repair import Surface, checked, repair
+from warp_rigid.scene.shapes.mesh_repair import Surface, checked, checked_uv, repair
 from warp_rigid.scene.shapes.sampling import SampleList, sample_mesh
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree, triangle_tree
 
@@ -42,22 +42,25 @@ class Mesh(Shape):
         faces: (m, 3) int32, facing outward.
         sdf_resolution: grid cells along the longest side.
         watertight: whether the given mesh has no holes.
+        uv: (m, 3, 2) float32, texture coordinates of the corners of `faces`; None without.
         repairs: descriptions of the repairs, empty if none was needed.
     """
 
-    def __init__(self, vertices: ArrayLike, faces: ArrayLike, sdf_resolution: int = 64):
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike, sdf_resolution: int = 64, *, uv: ArrayLike | None = None):
         """Make a mesh.
 
         Args:
             vertices: (n, 3) [m], finite.
             faces: (m, 3) vertex indices; either winding.
             sdf_resolution: grid cells along the longest side, 8 to 512.
+            uv: texture coordinates of the vertices (n, 2), or of the corners of the faces (m, 3, 2), for a body whose
+                look has an image: (0, 0) is its lower left corner, (1, 1) the upper right one, beyond which it repeats.
 
         Raises:
             ValueError: The mesh is empty, not finite or encloses no volume, or it has holes and walls too thin for the
                 grid.
         """
-        self._setup(repair(vertices, faces), sdf_resolution)
+        self._setup(repair(vertices, faces, uv), sdf_resolution)
         if self.repairs:
             warnings.warn(f"mesh repaired: {'; '.join(self.repairs)}", stacklevel=2)
 
@@ -65,6 +68,7 @@ class Mesh(Shape):
         self.sdf_resolution = whole_in("sdf_resolution", sdf_resolution, 8, 512)
         self.vertices = frozen_array(surface.vertices)
         self.faces = frozen_array(surface.faces, np.int32)
+        self.uv = None if surface.uv is None else frozen_array(surface.uv, np.float32)
         self.repairs = surface.repairs
         edges = topology.find_edges(self.faces)
         self.watertight = edges.closed
@@ -132,7 +136,7 @@ class Mesh(Shape):
 
     @classmethod
     def from_trimesh(cls, mesh: Any, sdf_resolution: int = 64) -> "Mesh":
-        """Make a mesh from the vertices and faces of a `trimesh.Trimesh`.
+        """Make a mesh from the vertices and faces of a `trimesh.Trimesh`, with its texture coordinates if it has any.
 
         Args:
             mesh: any object with `vertices` (n, 3) [m] and `faces` (m, 3).
@@ -143,7 +147,7 @@ class Mesh(Shape):
         """
         if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
             raise ValueError(f"mesh: must have vertices and faces, as a trimesh.Trimesh, got {shown(mesh)}")
-        made = cls(mesh.vertices, mesh.faces, sdf_resolution)
+        made = cls(mesh.vertices, mesh.faces, sdf_resolution, uv=getattr(getattr(mesh, "visual", None), "uv", None))
         if getattr(mesh, "units", None) is None:
             made._doubt_unit("mesh: ", "mesh.apply_scale(0.001)")
         return made
@@ -156,7 +160,13 @@ class Mesh(Shape):
 
     @classmethod
     def restored(
-        cls, vertices: np.ndarray, faces: np.ndarray, sdf_resolution: int, repairs: list[str], distances: np.ndarray
+        cls,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        sdf_resolution: int,
+        repairs: list[str],
+        distances: np.ndarray,
+        uv: np.ndarray | None = None,
     ) -> Self:
         """A saved mesh, bit for bit: without repairs, warnings or a new distance grid.
 
@@ -166,13 +176,15 @@ class Mesh(Shape):
             sdf_resolution: as in `Mesh`.
             repairs: descriptions of the repairs made when the mesh was first built.
             distances: (nx, ny, nz) float32, the values of its `grid` [m].
+            uv: (m, 3, 2) texture coordinates of the corners.
 
         Raises:
             ValueError: The arrays do not match each other.
         """
         mesh = cls.__new__(cls)
         vertices, faces = checked(vertices, faces)
-        mesh._setup(Surface(vertices, faces.astype(np.int32), [str(text) for text in repairs]), sdf_resolution)
+        uv = None if uv is None else checked_uv(uv, vertices, faces)
+        mesh._setup(Surface(vertices, faces.astype(np.int32), [str(text) for text in repairs], uv), sdf_resolution)
         origin, spacing, shape = distance_grid.grid_layout(mesh._solid_vertices, mesh.sdf_resolution)
         if distances.shape != shape or not np.isfinite(distances).all():
             raise ValueError(f"distances: must be finite numbers shaped {shape}, got shape {distances.shape}")
@@ -193,17 +205,21 @@ class Mesh(Shape):
     def to_data(self, place: Callable[[Shape], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Triangles and distances as arrays."""
         arrays = {"vertices": self.vertices, "faces": self.faces, "distances": self.grid.values}
-        return {"sdf_resolution": self.sdf_resolution, "repairs": self.repairs}, arrays
+        data: dict[str, Any] = {"sdf_resolution": self.sdf_resolution, "repairs": self.repairs}
+        if self.uv is not None:
+            data["uv"], arrays["uv"] = True, self.uv
+        return data, arrays
 
     @classmethod
     def from_data(cls, data: dict[str, Any], array: ReadArray, earlier: list[Shape]) -> Self:
         """The mesh as it was; its grid is not computed again."""
         vertices, faces = array("vertices", np.float64, (None, 3)), array("faces", np.int32, (None, 3))
         distances = array("distances", np.float32, (None, None, None))
-        return cls.restored(vertices, faces, data["sdf_resolution"], data["repairs"], distances)
+        uv = array("uv", np.float32, (None, 3, 2)) if data.get("uv") else None  # older files have none
+        return cls.restored(vertices, faces, data["sdf_resolution"], data["repairs"], distances, uv)
 
     def _content(self):
-        return [self.vertices, self.faces, self.sdf_resolution]
+        return [self.vertices, self.faces, self.sdf_resolution, *([] if self.uv is None else [self.uv])]
 
     @cached_property
     def mass_properties(self):
@@ -269,6 +285,10 @@ class Mesh(Shape):
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """The repaired mesh itself, with its holes open."""
         return self.vertices, self.faces
+
+    def surface_uv(self) -> np.ndarray | None:
+        """As given, those of the faces that are left after repairs."""
+        return self.uv
 
 
 def _refuse_flat(vertices, faces, properties) -> None:

@@ -21,14 +21,16 @@ class Surface:
         vertices: (n, 3) float64 [m].
         faces: (m, 3) int32, facing outward.
         repairs: descriptions of the changes.
+        uv: (m, 3, 2) texture coordinates of the corners of the faces; None without.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     repairs: list[str]
+    uv: np.ndarray | None = None
 
 
-def repair(vertices, faces) -> Surface:
+def repair(vertices, faces, uv=None) -> Surface:
     """Check a mesh and repair it where possible.
 
     Merges duplicate vertices, removes faces without area and repeated faces, removes unused
@@ -42,24 +44,30 @@ def repair(vertices, faces) -> Surface:
     Args:
         vertices: (n, 3) [m].
         faces: (m, 3) vertex indices.
+        uv: texture coordinates of the vertices (n, 2) or of the corners (m, 3, 2), which they follow; None without.
 
     Raises:
         ValueError: The mesh is empty, not finite, of the wrong shape, or its faces refer to vertices
             that do not exist.
     """
     vertices, faces = checked(vertices, faces)
+    uv = None if uv is None else checked_uv(uv, vertices, faces)
     repairs: list[str] = []
     vertices, faces = _merge_duplicates(vertices, faces, repairs)
+    given = faces
     faces = _drop_degenerate(vertices, faces, repairs)
     faces = _drop_repeated(vertices, faces, repairs)
     if not len(faces):
         raise ValueError("faces: must hold a triangle with an area > 0, got none")
+    uv = None if uv is None else _followed(uv, given, faces)
     vertices, faces = _drop_unused(vertices, faces, repairs)
+    given = faces
     faces = _agree_winding(faces, repairs)
     faces = _face_outward(vertices, faces, repairs)
-    vertices, faces, change = join_shells(vertices, faces)
+    uv = None if uv is None else _followed(uv, given, faces)
+    vertices, faces, uv, change = join_shells(vertices, faces, uv)
     repairs += [change] if change else []
-    return Surface(vertices, faces.astype(np.int32), repairs)
+    return Surface(vertices, faces.astype(np.int32), repairs, uv)
 
 
 def checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
@@ -82,6 +90,28 @@ def checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
         named = f"{faces.min()} to {faces.max()}"
         raise ValueError(f"faces: must name vertices 0 to {len(vertices) - 1}, got {named}")
     return vertices, faces
+
+
+def checked_uv(uv, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Texture coordinates of the corners of faces, (m, 3, 2) float64; a ValueError if they do not match the mesh."""
+    found = number_array("uv", uv)
+    if found.shape == (len(vertices), 2):
+        found = found[faces]
+    if found.shape != (len(faces), 3, 2):
+        raise ValueError(f"uv: must be shaped ({len(vertices)}, 2) or ({len(faces)}, 3, 2), got {found.shape}")
+    if not np.isfinite(found).all():
+        raise ValueError("uv: must be finite numbers, got NaN or infinity")
+    return found
+
+
+def _followed(uv: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Texture coordinates (k, 3, 2) of faces (k, 3), each with the vertices of one before, in any order."""
+    from trimesh.grouping import unique_rows
+
+    kept, which = unique_rows(np.sort(np.concatenate([before, after]), axis=1), keep_order=True)
+    source = kept[which[len(before) :]]
+    corner = np.argmax(before[source][:, None, :] == after[:, :, None], axis=2)
+    return uv[source[:, None], corner]
 
 
 def _merge_duplicates(vertices, faces, repairs):

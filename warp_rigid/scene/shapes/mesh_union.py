@@ -9,7 +9,11 @@ UNCHANGED = 1e-7
 """Relative change of volume and area below which shells neither overlap nor touch: rounding in the package."""
 
 
-def join_shells(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, str | None]:
+Joined = tuple[np.ndarray, np.ndarray, np.ndarray | None, str | None]
+"""Vertices (n, 3), faces (m, 3), texture coordinates (m, 3, 2) or None, and a description of the change or None."""
+
+
+def join_shells(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray | None = None) -> Joined:
     """Replace shells that overlap or touch by the surface of their union, the points with a winding number > 1/2.
 
     A cavity, whose faces point into the hollow of a shell, is cut out of the smallest shell around it before. A mesh
@@ -18,9 +22,7 @@ def join_shells(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     Args:
         vertices: (n, 3) [m].
         faces: (m, 3), facing outward.
-
-    Returns:
-        Vertices and faces, and a description of the change, or None.
+        uv: (m, 3, 2) texture coordinates of the corners, which the package interpolates where it cuts a face.
 
     Raises:
         ValueError: the union has no volume, or the package refuses a shell.
@@ -28,17 +30,20 @@ def join_shells(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     edges = topology.find_edges(faces)
     label = topology.face_components(edges)
     if not edges.closed or (edges.manifold and (label == label[0]).all()):
-        return vertices, faces, None
+        return vertices, faces, uv, None
     split, faces_split, label = separate_shells(vertices, faces)
-    shells = [faces_split[label == part] for part in np.unique(label)]
-    volume = np.array([mass_properties.polyhedron(split, shell).volume for shell in shells])
+    shells = [np.flatnonzero(label == part) for part in np.unique(label)]
+    volume = np.array([mass_properties.polyhedron(split, faces_split[shell]).volume for shell in shells])
     solid = [shell for shell, size in zip(shells, volume, strict=True) if size > 0.0]
-    if not solid or (edges.manifold and not _bounds_meet(split, solid)):
-        return vertices, faces, None
+    if not solid or (edges.manifold and not _bounds_meet(split, [faces_split[shell] for shell in solid])):
+        return vertices, faces, uv, None
     cavities = [shell for shell, size in zip(shells, volume, strict=True) if size < 0.0]
-    parts = [_manifold(split, shell) for shell in _with_cavities(split, solid, cavities)]
+    parts = [
+        _manifold(split, faces_split[rows], None if uv is None else uv[rows])
+        for rows in _with_cavities(split, faces_split, solid, cavities)
+    ]
     joined, same = _union(parts)
-    return (vertices, faces, None) if same and edges.manifold else joined
+    return (vertices, faces, uv, None) if same and edges.manifold else joined
 
 
 def separate_shells(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -115,28 +120,36 @@ def _bounds_meet(vertices, shells) -> bool:
     return False
 
 
-def _with_cavities(vertices, solid, cavities):
-    """The faces of each shell, with the cavities of which it is the smallest shell around."""
+def _with_cavities(vertices, faces, solid, cavities):
+    """The rows of the faces of each shell, with those of the cavities of which it is the smallest shell around."""
     groups = [[shell] for shell in solid]
-    volume = [mass_properties.polyhedron(vertices, shell).volume for shell in solid]
+    volume = [mass_properties.polyhedron(vertices, faces[shell]).volume for shell in solid]
     for cavity in cavities:
-        point = vertices[cavity[:1, 0]]
-        around = [k for k, shell in enumerate(solid) if mesh_distance(vertices, shell, point, simple=False)[0] < 0.0]
+        point = vertices[faces[cavity[:1], 0]]
+        around = [
+            k for k, shell in enumerate(solid) if mesh_distance(vertices, faces[shell], point, simple=False)[0] < 0.0
+        ]
         groups[min(around, key=lambda k: volume[k]) if around else int(np.argmax(volume))].append(cavity)
     return [np.concatenate(group) for group in groups]
 
 
-def _manifold(vertices, faces):
-    """A shell as an object of the package, in float64."""
+def _manifold(vertices, faces, uv):
+    """A shell as an object of the package, in float64; with texture coordinates, each corner is a vertex of its own."""
     import manifold3d
 
-    used, renumbered = np.unique(faces, return_inverse=True)
-    mesh = manifold3d.Mesh64(vertices[used], renumbered.reshape(faces.shape).astype(np.uint64))
-    return manifold3d.Manifold(mesh)
+    used, first, renumbered = np.unique(faces, return_index=True, return_inverse=True)
+    renumbered = renumbered.reshape(faces.shape)
+    if uv is None:
+        return manifold3d.Manifold(manifold3d.Mesh64(vertices[used], renumbered.astype(np.uint64)))
+    corners = np.arange(faces.size)
+    places = np.column_stack([vertices[faces.reshape(-1)], uv.reshape(-1, 2)])
+    same = first[renumbered].reshape(-1)
+    merged = (corners[corners != same].astype(np.uint64), same[corners != same].astype(np.uint64))
+    return manifold3d.Manifold(manifold3d.Mesh64(places, corners.reshape(-1, 3).astype(np.uint64), *merged))
 
 
 def _union(parts):
-    """Vertices, faces and description of the union; and whether its volume and area are the sums over the parts."""
+    """The union as join_shells returns it; and whether its volume and area are the sums over the parts."""
     import manifold3d
 
     joined = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add)
@@ -146,4 +159,10 @@ def _union(parts):
     same = abs(joined.volume() - volume) <= UNCHANGED * volume and abs(joined.surface_area() - area) <= UNCHANGED * area
     mesh = joined.to_mesh64()
     change = f"joined {len(parts)} shells that overlap or touch into their union"
-    return (np.array(mesh.vert_properties)[:, :3], np.array(mesh.tri_verts).astype(np.int64), change), same
+    places, triangles = np.array(mesh.vert_properties), np.array(mesh.tri_verts).astype(np.int64)
+    if places.shape[1] == 3:
+        return (places, triangles, None, change), same
+    vertex = np.arange(len(places))
+    vertex[np.array(mesh.merge_from_vert, np.int64)] = np.array(mesh.merge_to_vert, np.int64)
+    used, faces = np.unique(vertex[triangles], return_inverse=True)
+    return (places[used, :3], faces.reshape(-1, 3), places[triangles, 3:], change), same

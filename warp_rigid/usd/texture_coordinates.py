@@ -1,0 +1,66 @@
+"""Texture coordinates of the meshes of imported files."""
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from warp_rigid.usd.geometry import custom_data
+from warp_rigid.usd.preview_surface import Texture, texture_of
+
+ST = "st"
+"""Name of the primvar of texture coordinates, where no material names another."""
+
+
+def read_uv(prim: Usd.Prim, corners: np.ndarray, triangles: np.ndarray, notes: list[str]) -> np.ndarray | None:
+    """Texture coordinates of the corners of triangles, (m, 3, 2); None if a mesh has none.
+
+    Of meshes written by this package, only those that had coordinates before count, not those that it projected.
+
+    Args:
+        prim: a mesh.
+        corners: points of the corners of its polygons (c,).
+        triangles: corners of its triangles (m, 3).
+        notes: receives why coordinates are not used.
+    """
+    custom = custom_data(prim)
+    if custom and "uv" not in custom:
+        return None
+    texture = texture_of(prim)
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(ST if texture is None else texture.varname)
+    if not primvar or not primvar.HasValue():
+        return None
+    values = _numbers(primvar.ComputeFlattened(Usd.TimeCode.EarliestTime()))
+    places = _places(UsdGeom.Mesh(prim), str(primvar.GetInterpolation()), corners, triangles)
+    if values is None or places is None or places.max(initial=-1) >= len(values):
+        found = "no pairs of finite numbers" if values is None else f"{len(values)} values"
+        notes.append(f"{primvar.GetName()} is ignored: it has {found}, interpolated as {primvar.GetInterpolation()}")
+        return None
+    return _transformed(values[places], texture)
+
+
+def _numbers(values) -> np.ndarray | None:
+    try:
+        found = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        return None
+    return found if found.ndim == 2 and found.shape[1] == 2 and np.isfinite(found).all() else None
+
+
+def _places(mesh: UsdGeom.Mesh, interpolation: str, corners, triangles) -> np.ndarray | None:
+    """Index of the value of each corner (m, 3); None for an unknown interpolation."""
+    if interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
+        return corners[triangles]
+    if interpolation == UsdGeom.Tokens.faceVarying:
+        return triangles
+    if interpolation == UsdGeom.Tokens.uniform:
+        ends = np.cumsum(np.array(mesh.GetFaceVertexCountsAttr().Get(), np.int64))
+        return np.searchsorted(ends, triangles, side="right")
+    return np.zeros_like(triangles) if interpolation == UsdGeom.Tokens.constant else None
+
+
+def _transformed(uv: np.ndarray, texture: Texture | None) -> np.ndarray:
+    """With the UsdTransform2d between the coordinates and the image, if there is one."""
+    if texture is None:
+        return uv
+    angle = np.radians(texture.rotation)
+    turn = np.array([(np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))])
+    return (uv * texture.scale) @ turn + texture.translation
