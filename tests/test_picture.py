@@ -10,11 +10,11 @@ from scipy.ndimage import binary_erosion
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Camera, Heightfield, Mesh, Plane, Scene, Simulator, Sphere
-from warp_rigid.render.appearance import level_colors, speed_colors
+from warp_rigid.render.appearance import level_colors, on_screen, speed_colors
 from warp_rigid.render.film import colored, film_from_recording, film_from_usd
 from warp_rigid.render.framing import AFTERMATH, CameraPath, event_end, fit_camera, points_to_see
 from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
-from warp_rigid.render.raycast import CUT, RayCaster, on_screen
+from warp_rigid.render.raycast import CUT, RayCaster
 from warp_rigid.runs.recording import record
 from warp_rigid.scenes.builders import stacks
 from warp_rigid.scenes.builders.grounds import level_scene

@@ -5,9 +5,14 @@ import pytest
 import trimesh
 from PIL import Image
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
+from scipy import ndimage
 
 import warp_rigid as wr
 from tests.usd_tools import start_of, validator_errors
+from warp_rigid.render.appearance import linear_light
+from warp_rigid.render.film import colored, film_from_recording, film_from_usd
+from warp_rigid.render.framing import CameraPath
+from warp_rigid.render.raycast import RayCaster
 from warp_rigid.render.textures import mean_color
 from warp_rigid.rotations import rotate
 from warp_rigid.runs.recording import Recording
@@ -296,3 +301,97 @@ def test_recordings_keep_coordinates(tmp_path):
     again = Recording.load(tmp_path / "film.npz")
     np.testing.assert_array_equal(again.surfaces[0].uv, recording.surfaces[0].uv)
     assert again.looks == recording.looks
+
+
+def slab(folder, pixels, repeat=1.0):
+    """A slab from -1 to 1 whose upper side shows an image upright as seen from above, x to the right and y up."""
+    Image.fromarray(pixels).save(folder / "image.png")
+    box = trimesh.creation.box((2, 2, 0.2))
+    mesh = wr.Mesh(box.vertices, box.faces, 16, uv=repeat * 0.5 * (box.vertices[:, :2] + 1.0))
+    scene = wr.Scene(camera=wr.Camera(position=(0.0, -1e-3, 4.0), look_at=(0, 0, 0), field_of_view=40.0))
+    scene.add_static(mesh)
+    return scene
+
+
+def seen(film, size=240):
+    """A function of a point of the upper side: the screen colour (3,) of its pixel, 0 to 1, and the pixel's place."""
+    view = CameraPath([film], [0], size, size).at(0)
+    picture = RayCaster(film, view).draw(0, size, size) / 255.0
+    eye, forward, right, up = (np.array(getattr(view, name)) for name in ("eye", "forward", "right", "up"))
+
+    def at(x, y):
+        ray = np.array((x, y, 0.1)) - eye
+        ray /= ray @ forward
+        column, row = (round(0.5 * size * (1.0 + s * (ray @ a) / (a @ a)) - 0.5) for s, a in ((1, right), (-1, up)))
+        ray = forward + ((2 * column + 1) / size - 1) * right + (1 - (2 * row + 1) / size) * up
+        return picture[row, column], (eye + (0.1 - eye[2]) / ray[2] * ray)[:2]
+
+    return at
+
+
+def plain_color(scene, color, x, y):
+    """The screen colour of the same point of a body of one colour, under the same light."""
+    scene.looks = {0: Look(tuple(color), 1.0, 0.0)}
+    return seen(film_from_recording(start_of(scene)))(x, y)[0]
+
+
+def interpolated(light, place):
+    """Linear light at a place of the slab, from SciPy's interpolation of an image that repeats."""
+    height, width = light.shape[:2]
+    row, column = 0.5 * (1.0 - place[1]) * height - 0.5, 0.5 * (place[0] + 1.0) * width - 0.5
+    return [ndimage.map_coordinates(light[..., k], [[row], [column]], order=1, mode="grid-wrap")[0] for k in range(3)]
+
+
+@pytest.mark.parametrize("origin", ["recording", "scene", "animation"])
+def test_pictures_show_the_texels_at_their_places(tmp_path, origin):
+    """Centres of texels, a place between them, and one at the border; the first row is on top.
+
+    The tolerance is a step of the screen values at the bright end, 0.009 in linear light.
+    """
+    pixels = np.random.default_rng(3).integers(0, 256, (4, 4, 3)).astype(np.uint8)
+    scene = slab(tmp_path, pixels)
+    scene.looks[0] = Look((0.5, 0.5, 0.5), 1.0, 0.0, tmp_path / "image.png")
+    recording = start_of(scene)
+    if origin == "recording":
+        film = film_from_recording(recording)
+    else:
+        wr.export_usd(recording, tmp_path / "film.usdc", profile=origin)
+        film = film_from_usd(tmp_path / "film.usdc")
+    at, light = seen(film), linear_light(pixels.astype(float))
+    for x, y in ((-0.75, 0.75), (0.75, 0.75), (0.25, 0.25), (-0.25, -0.75), (0.0, 0.25), (0.95, -0.4)):
+        color, place = at(x, y)
+        expected = plain_color(scene, interpolated(light, place), x, y)
+        np.testing.assert_allclose(linear_light(255 * color), linear_light(255 * expected), atol=0.01)
+
+
+def test_images_repeat_and_blur_from_afar(tmp_path):
+    """Three repetitions of a checker of 2 x 2 texels; and one finer than the pixels, which has its mean light."""
+    coarse = np.zeros((2, 2, 3), np.uint8)
+    coarse[0, 0] = coarse[1, 1] = 255
+    scene = slab(tmp_path, coarse, repeat=3.0)
+    scene.looks[0] = Look(None, 1.0, 0.0, tmp_path / "image.png")
+    at = seen(film_from_recording(start_of(scene)))
+    for i, j in np.ndindex(6, 6):
+        value = at(-1 + (i + 0.5) / 3, -1 + (j + 0.5) / 3)[0].mean()
+        assert value < 0.35 if (i + j) % 2 == 0 else value > 0.7
+    fine = np.kron(np.indices((512, 512)).sum(axis=0) % 2, np.ones((2, 2)))[..., None] * np.full(3, 255)
+    scene = slab(tmp_path, fine.astype(np.uint8))
+    scene.looks[0] = Look(None, 1.0, 0.0, tmp_path / "image.png")
+    at = seen(film_from_recording(start_of(scene)))
+    expected = plain_color(scene, (0.5, 0.5, 0.5), 0.0, 0.0)
+    for x, y in ((0.0, 0.0), (0.3, -0.7), (-0.55, 0.21)):
+        np.testing.assert_allclose(at(x, y)[0], expected, atol=0.02)
+
+
+def test_an_image_that_is_missing_leaves_the_colour(tmp_path):
+    scene = slab(tmp_path, np.zeros((2, 2, 3), np.uint8))
+    scene.looks[0] = Look((0.2, 0.4, 0.6), 1.0, 0.0, tmp_path / "image.png")
+    (tmp_path / "image.png").write_bytes(b"no image")
+    at = seen(film_from_recording(start_of(scene)))
+    np.testing.assert_array_equal(at(0.0, 0.0)[0], plain_color(scene, (0.2, 0.4, 0.6), 0.0, 0.0))
+
+
+def test_a_colouring_hides_the_images_of_dynamic_bodies(tmp_path):
+    recording = start_of(imported(tmp_path / "assets"))
+    film = film_from_recording(recording)
+    assert film.image.tolist() == [0] and colored(film, recording, "level").image.tolist() == [-1]

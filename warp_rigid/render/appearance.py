@@ -57,6 +57,12 @@ def linear_light(screen: np.ndarray) -> np.ndarray:
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
+def on_screen(light: np.ndarray) -> np.ndarray:
+    """Convert linear RGB to sRGB, both from 0 to 1."""
+    light = np.clip(light, 0.0, 1.0)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+
+
 @cache
 def color_map(count: int) -> np.ndarray:
     """`count` equally spaced colours of the map viridis, (count, 3) float32 in linear light.

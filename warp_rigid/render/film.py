@@ -11,6 +11,7 @@ from warp_rigid.render.appearance import (
     body_colors,
     body_gloss,
     corner_normals,
+    drawn_looks,
     drawn_surfaces,
     environment_offsets,
     frame_colors,
@@ -32,12 +33,14 @@ class DrawnMesh:
         faces: (m, 3) int32.
         normals: (m, 3, 3) float32, one per corner of each triangle.
         frames: vertices of each frame if they change, else empty.
+        uv: (m, 3, 2) float32, texture coordinates of the corners, NaN where a part has none; None without.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray
     frames: tuple[np.ndarray, ...] = ()
+    uv: np.ndarray | None = None
 
     @property
     def flat(self) -> bool:
@@ -62,7 +65,9 @@ class Film:
         body: (instances,) index of the body in its environment; -1 for what is no body.
         dynamic: (instances,) True for dynamic bodies.
         gloss: (instances, 2) float32, roughness and metallic as in Look; (1, 0) is matt.
+        image: (instances,) index into images; -1 for instances of one colour.
         camera: where pictures are taken from; a body that it follows is given by its index.
+        images: paths of the images of textures.
     """
 
     meshes: tuple[DrawnMesh, ...]
@@ -77,7 +82,9 @@ class Film:
     body: np.ndarray
     dynamic: np.ndarray
     gloss: np.ndarray
+    image: np.ndarray
     camera: Camera = field(default_factory=Camera)
+    images: tuple[str, ...] = ()
 
     @property
     def num_frames(self) -> int:
@@ -118,6 +125,7 @@ class Film:
             body=self.body[kept],
             dynamic=self.dynamic[kept],
             gloss=self.gloss[kept],
+            image=self.image[kept],
             offset=np.zeros((1, 3)),
             labels=(self.labels[env],),
         )
@@ -129,6 +137,8 @@ def film_from_recording(recording: Recording) -> Film:
     spread = spread_of(recording)
     surfaces = drawn_surfaces(recording, envs, spread)
     offsets = environment_offsets(envs, spread.spacing()).astype(np.float32)
+    looks = drawn_looks(recording)
+    images, image = _numbered([looks[body].image if body in looks else None for body in range(bodies)])
     return Film(
         meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
         mesh=np.tile(recording.surface, envs),
@@ -142,12 +152,20 @@ def film_from_recording(recording: Recording) -> Film:
         body=np.tile(np.arange(bodies), envs),
         dynamic=np.tile(recording.motion == Motion.DYNAMIC, envs),
         gloss=np.tile(body_gloss(bodies, recording.looks), (envs, 1)),
+        image=np.tile(image, envs),
         camera=recording.camera or Camera(),
+        images=images,
     )
 
 
+def _numbered(paths: list[str | None]) -> tuple[tuple[str, ...], np.ndarray]:
+    """The distinct paths of images, and the index of each; -1 for None."""
+    images = tuple(dict.fromkeys(path for path in paths if path is not None))
+    return images, np.array([-1 if path is None else images.index(path) for path in paths], dtype=np.int64)
+
+
 def colored(film: Film, recording: Recording, by: str) -> Film:
-    """Colour the dynamic bodies of a film by a quantity.
+    """Colour the dynamic bodies of a film by a quantity, instead of their images.
 
     Args:
         film: film of all environments of the recording, from film_from_recording.
@@ -162,14 +180,14 @@ def colored(film: Film, recording: Recording, by: str) -> Film:
         return film
     rows = range(len(recording.envs))
     colors = [np.concatenate([frame_colors(by, recording, row, f) for row in rows]) for f in recording.frames()]
-    return replace(film, color=np.stack(colors))
+    return replace(film, color=np.stack(colors), image=np.where(film.dynamic, -1, film.image))
 
 
 def _drawn(surface: DrawnSurface, times: np.ndarray) -> DrawnMesh:
     """Convert a surface to a mesh, with the vertices of each frame if its shape changes."""
     vertices = surface.vertices_at(times[0])
     frames = tuple(surface.vertices_at(time) for time in times) if surface.moves else ()
-    return DrawnMesh(vertices, surface.faces, corner_normals(vertices, surface.faces), frames)
+    return DrawnMesh(vertices, surface.faces, corner_normals(vertices, surface.faces), frames, surface.uv)
 
 
 def film_from_usd(path) -> Film:
@@ -209,11 +227,11 @@ def _film_of_stage(stage) -> Film:
     places = UsdGeom.XformCache()
     offset = np.array([places.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
-    body, dynamic, gloss = [], [], []
+    body, dynamic, gloss, paths = [], [], [], []
     for index, group in groups:
         read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
-        drawn, positions, turns, group_colors = read(group, frames)
-        key = drawn.vertices.tobytes() + drawn.faces.tobytes()
+        drawn, image, positions, turns, group_colors = read(group, frames)
+        key = drawn.vertices.tobytes() + drawn.faces.tobytes() + (b"" if drawn.uv is None else drawn.uv.tobytes())
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
@@ -226,8 +244,10 @@ def _film_of_stage(stage) -> Film:
         body.append(np.array(ids, np.int64))
         dynamic.append(np.full(len(body[-1]), custom_data(group).get("motion") == "dynamic"))
         gloss.append(_read_gloss(group, len(body[-1])))
+        paths += [image] * len(body[-1])
         count[index] += 1
     colors = np.concatenate(color, axis=1)
+    images, image_index = _numbered(paths)
     return Film(
         meshes=tuple(meshes),
         mesh=np.concatenate(mesh),
@@ -241,7 +261,9 @@ def _film_of_stage(stage) -> Film:
         body=np.concatenate(body),
         dynamic=np.concatenate(dynamic),
         gloss=np.concatenate(gloss),
+        image=image_index,
         camera=_camera_of_stage(stage),
+        images=images,
     )
 
 
@@ -258,8 +280,10 @@ def _camera_of_stage(stage) -> Camera:
 
 
 def _read_instancer(prim, frames):
-    """Read the mesh of a PointInstancer, and positions, orientations and colours of its instances."""
+    """Read the mesh of a PointInstancer and its image, and positions, orientations and colours of its instances."""
     from pxr import UsdGeom
+
+    from warp_rigid.usd.texture_coordinates import uv_and_image
 
     instancer = UsdGeom.PointInstancer(prim)
     targets = instancer.GetPrototypesRel().GetTargets()
@@ -272,8 +296,9 @@ def _read_instancer(prim, frames):
     faces = np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int32).reshape(-1, 3)
     normals = np.array(mesh.GetNormalsAttr().Get(), dtype=np.float32).reshape(-1, 3, 3)
     color = _read(UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor").GetAttr(), frames)
-    places = _read(instancer.GetPositionsAttr(), frames)
-    return DrawnMesh(vertices, faces, normals, moving), places, _read(instancer.GetOrientationsfAttr(), frames), color
+    places, turns = (_read(entry, frames) for entry in (instancer.GetPositionsAttr(), instancer.GetOrientationsfAttr()))
+    uv, image = uv_and_image(mesh.GetPrim())
+    return DrawnMesh(vertices, faces, normals, moving, uv), image, places, turns, color
 
 
 def _read_body(prim, frames):
@@ -281,8 +306,10 @@ def _read_body(prim, frames):
     from pxr import Usd, UsdGeom
 
     from warp_rigid.usd.prims import matrix_of, triangles_of
+    from warp_rigid.usd.texture_coordinates import uv_and_image
 
     vertices, faces, count, moving = [], [], 0, {}
+    coordinates, image = [], None
     for part in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
         if part.IsA(UsdGeom.Gprim) and UsdGeom.Imageable(part).ComputePurpose() != UsdGeom.Tokens.guide:
             matrix = matrix_of(UsdGeom.XformCache().ComputeRelativeTransform(part, prim)[0])
@@ -293,6 +320,9 @@ def _read_body(prim, frames):
             vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
             faces.append(triangles + count)
             count += len(points)
+            uv, found = uv_and_image(part)
+            coordinates.append(np.full((len(triangles), 3, 2), np.nan, np.float32) if uv is None else uv)
+            image = image or found
     if not vertices:
         raise ValueError(f"{prim.GetPath()} has no geometry")
     joined = np.concatenate(vertices).astype(np.float32)
@@ -304,8 +334,9 @@ def _read_body(prim, frames):
     color = _read(UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor").GetAttr(), frames)
     places = _read(prim.GetAttribute("xformOp:translate"), frames).astype(np.float32)
     turns = _read(prim.GetAttribute("xformOp:orient"), frames)
-    drawn = DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown))
-    return drawn, places[:, None], turns[:, None], color
+    uv = np.concatenate(coordinates) if image else None
+    drawn = DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown), uv)
+    return drawn, image, places[:, None], turns[:, None], color
 
 
 def _read_gloss(prim, count: int) -> np.ndarray:

@@ -13,9 +13,10 @@ import warp as wp
 
 from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.kernel_cache import load_module
-from warp_rigid.render.appearance import bound_corners, corner_normals
+from warp_rigid.render.appearance import bound_corners, corner_normals, on_screen
 from warp_rigid.render.film import Film
 from warp_rigid.render.shading import HORIZON_COLOR, CameraView, glossy_color, grid_shade, lit_color, sky_color
+from warp_rigid.render.texture_sampling import Textures, texture_color, textures_of
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.shapes.tessellation import geodesic
 from warp_rigid.threads import exclusive
@@ -63,6 +64,7 @@ class InstanceArrays:
     orientation: wp.array[wp.quat]
     color: wp.array[wp.vec3]
     gloss: wp.array[wp.vec2]  # roughness and metallic
+    textures: Textures
     normals: wp.array2d[wp.vec3]
     section_point: wp.vec3  # of the plane that cuts bodies open
     section_normal: wp.vec3  # toward the camera
@@ -73,10 +75,12 @@ class InstanceArrays:
 
 @wp.struct
 class Hit:
-    """The nearest surface along a ray; `instance` is -1 without a hit."""
+    """The nearest surface along a ray; `instance` is -1 without a hit, `face` on an infinite plane."""
 
     instance: int
     face: int
+    u: float  # weights of the first two corners of the triangle
+    v: float
     distance: float
     normal: wp.vec3
 
@@ -129,6 +133,7 @@ def nearest(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3) -> H
             t = (instances.plane_offset[k] - wp.dot(origin, instances.plane_normal[k])) / slope
             if t > 0.0 and t < hit.distance:
                 hit.instance = instances.plane[k]
+                hit.face = -1
                 hit.distance = t
                 hit.normal = instances.plane_normal[k]
     candidates = wp.bvh_query_ray(instances.tree, origin, direction)
@@ -146,6 +151,9 @@ def nearest(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3) -> H
         query = wp.mesh_query_ray(instances.mesh[i], start, local, farthest)
         if query.result:
             hit.instance = i
+            hit.face = query.face
+            hit.u = query.u
+            hit.v = query.v
             hit.distance = limits[0] + query.t
             hit.normal = smooth_normal(instances, i, query.face, query.u, query.v)
     return hit
@@ -244,6 +252,10 @@ def trace(
     normal = hit.normal
     slope = wp.dot(normal, direction)
     color = instances.color[i]
+    footprint = hit.distance * camera.pixel / wp.sqrt(wp.max(wp.abs(slope), 0.02))
+    if hit.face >= 0:
+        row = instances.first_face[i] + hit.face
+        color = texture_color(instances.textures, i, row, hit.u, hit.v, footprint, color)
     if slope > 0.0:
         normal = -normal
         if instances.cut[i] == CUT:
@@ -251,8 +263,9 @@ def trace(
     point = camera.eye + hit.distance * direction
     haze = float(0.0)
     if instances.flat[i]:
-        footprint = hit.distance * camera.pixel / wp.max(wp.abs(slope), 0.02)
-        color = color * grid_shade(point, normal, camera.grid, footprint)
+        width = hit.distance * camera.pixel / wp.max(wp.abs(slope), 0.02)
+        if instances.textures.level[i] < 0:
+            color = color * grid_shade(point, normal, camera.grid, width)
         haze = 1.0 - wp.exp(-wp.max(hit.distance / camera.haze - 1.0, 0.0))
     start = point + 2.0e-4 * hit.distance * normal
     sun = float(0.0)
@@ -357,6 +370,7 @@ class RayCaster:
             self._instances.first_face = wp.array(self._first_face[film.mesh], dtype=int)
             self._instances.flat = wp.array(flat)
             self._instances.gloss = wp.array(film.gloss, dtype=wp.vec2)
+            self._instances.textures = textures_of(film)
             normals = np.concatenate([mesh.normals for mesh in film.meshes])
             self._instances.normals = wp.array(normals, dtype=wp.vec3)
             self._instances.cut = wp.zeros(len(flat), dtype=int)
@@ -509,12 +523,6 @@ def within_hull(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """(points,) True for points that are not outside the convex hull of the vertices in any of 162 directions."""
     directions, _ = geodesic(4)
     return (points @ directions.T <= (vertices @ directions.T).max(axis=0)).all(axis=1)
-
-
-def on_screen(light: np.ndarray) -> np.ndarray:
-    """Convert linear RGB to sRGB, both from 0 to 1."""
-    light = np.clip(light, 0.0, 1.0)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
 
 
 def _edges(picture: np.ndarray) -> np.ndarray:

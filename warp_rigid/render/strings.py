@@ -49,6 +49,7 @@ def with_strings(film: Film, recording: Recording) -> Film:
         body=np.concatenate([film.body, np.full(count, -1)]),
         dynamic=np.concatenate([film.dynamic, np.zeros(count, bool)]),
         gloss=np.concatenate([film.gloss, body_gloss(count, {})]),
+        image=np.concatenate([film.image, np.full(count, -1)]),
     )
 
 

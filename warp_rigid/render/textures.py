@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_rigid.render.appearance import linear_light
+from warp_rigid.render.appearance import linear_light, on_screen
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -62,3 +62,24 @@ def image_filter():
     from PIL import Image
 
     return Image.Resampling.BOX
+
+
+def image_levels(path: str) -> tuple[np.ndarray, ...]:
+    """An image and its reductions to half of the width and height, down to one pixel; none if it cannot be read.
+
+    Returns:
+        (height, width, 3) uint8 each, sRGB. Means are taken in linear light.
+    """
+    image = read_image(path)
+    if image is None:
+        return ()
+    if max(image.size) > LARGEST_SIDE:
+        image.thumbnail((LARGEST_SIDE, LARGEST_SIDE), image_filter())
+    levels = [np.asarray(image, np.uint8)]
+    light = linear_light(levels[0].astype(np.float32)).astype(np.float32)
+    while max(light.shape[:2]) > 1:
+        height, width = (size % 2 if size > 1 else 1 for size in light.shape[:2])
+        even = np.pad(light, ((0, height), (0, width), (0, 0)), "edge")
+        light = 0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
+        levels.append(np.round(255.0 * on_screen(light)).astype(np.uint8))
+    return tuple(levels)

@@ -3,6 +3,7 @@
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from warp_rigid.files.mesh_files import usd_corners
 from warp_rigid.usd.geometry import custom_data
 from warp_rigid.usd.preview_surface import Texture, texture_of
 
@@ -35,6 +36,16 @@ def read_uv(prim: Usd.Prim, corners: np.ndarray, triangles: np.ndarray, notes: l
         notes.append(f"{primvar.GetName()} is ignored: it has {found}, interpolated as {primvar.GetInterpolation()}")
         return None
     return _transformed(values[places], texture)
+
+
+def uv_and_image(prim: Usd.Prim) -> tuple[np.ndarray | None, str | None]:
+    """Texture coordinates of the triangles of a mesh, (m, 3, 2) float32, and the path of its image; or None, None."""
+    texture = texture_of(prim) if prim.IsA(UsdGeom.Mesh) else None
+    if texture is None:
+        return None, None
+    _, corners, triangles = usd_corners(UsdGeom.Mesh(prim))
+    uv = read_uv(prim, corners, triangles, [])
+    return (None, None) if uv is None else (uv.astype(np.float32), texture.image)
 
 
 def _numbers(values) -> np.ndarray | None:

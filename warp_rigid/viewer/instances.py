@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from warp_rigid.render.appearance import on_screen
 from warp_rigid.render.film import DrawnMesh, Film
-from warp_rigid.render.raycast import on_screen
 from warp_rigid.viewer.page import add_ground, opacity_of_walls
 
 FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
