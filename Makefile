@@ -30,8 +30,8 @@ demo: $(READY)
 		--picture $(OUT)/box_stack.png --contact-sheet $(OUT)/box_stack_sheet.png
 	@echo "next: $(BIN)/warp-rigid view seesaw"
 
-# The tests that every change must pass: about 12 minutes on 2 cores. The longest compiles the joints' kernels for a GPU,
-# which takes about 3 minutes of one core; Warp's cache keeps the result. Tests that measure time run last, alone.
+# The tests that every change must pass: at most 12 minutes on 2 cores. Kernels are compiled for a GPU, too, which takes
+# about 90 s of one core; Warp's cache keeps the result. Tests that measure time run last, alone.
 test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
 	$(PYTEST) -m "quiet and not long" && exit $$others
