@@ -252,10 +252,11 @@ def trace(
     normal = hit.normal
     slope = wp.dot(normal, direction)
     color = instances.color[i]
-    footprint = hit.distance * camera.pixel / wp.sqrt(wp.max(wp.abs(slope), 0.02))
+    pixel = hit.distance * camera.pixel
+    steepness = wp.max(wp.abs(slope), 0.02)
     if hit.face >= 0:
         row = instances.first_face[i] + hit.face
-        color = texture_color(instances.textures, i, row, hit.u, hit.v, footprint, color)
+        color = texture_color(instances.textures, i, row, hit.u, hit.v, pixel / wp.sqrt(steepness), color)
     if slope > 0.0:
         normal = -normal
         if instances.cut[i] == CUT:
@@ -263,9 +264,8 @@ def trace(
     point = camera.eye + hit.distance * direction
     haze = float(0.0)
     if instances.flat[i]:
-        width = hit.distance * camera.pixel / wp.max(wp.abs(slope), 0.02)
         if instances.textures.level[i] < 0:
-            color = color * grid_shade(point, normal, camera.grid, width)
+            color = color * grid_shade(point, normal, camera.grid, pixel / steepness)
         haze = 1.0 - wp.exp(-wp.max(hit.distance / camera.haze - 1.0, 0.0))
     start = point + 2.0e-4 * hit.distance * normal
     sun = float(0.0)
