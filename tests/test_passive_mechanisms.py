@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import warp_rigid as wr
 from warp_rigid.validation import passive_mechanisms as mechanisms
+from warp_rigid.validation.articulated import exact_period, pendulum, period_of
 from warp_rigid.validation.experiment import Experiment
 
 G = 9.81
@@ -48,6 +49,26 @@ def test_passive_mechanisms_gain_no_energy_and_lose_little(scene, rate, device):
     assert mechanisms.largest_gain(trace)[0] < 1e-3
     if rate == 240:
         assert mechanisms.loss(trace)[0] < 0.03
+
+
+@pytest.mark.parametrize(("angle", "tolerance"), [(150.0, 1e-3), (178.0, 1e-2)])
+def test_a_fast_pendulum_keeps_its_energy_and_period_where_the_parts_change(angle, tolerance, device):
+    """In 120 s at 1/60 s, links turn by more than LARGEST_TURN at the lowest point only.
+
+    Energy had changed at each change of the parts: by 1e-3 m g L, and by 26 % of the period from 178 degrees.
+    """
+    trace = trace_of(partial(pendulum, angle), device, 120.0, 60)
+    assert mechanisms.largest_gain(trace)[0] < 5e-4
+    assert period_of(trace)[0] == pytest.approx(exact_period(angle), rel=tolerance)
+
+
+@pytest.mark.parametrize("rate", [60, pytest.param(480, marks=pytest.mark.long)])
+def test_a_chain_that_whips_for_long_keeps_its_energy(rate, device):
+    """120 s: the chain of five had lost a quarter of m g L at 1/60 s."""
+    trace = trace_of(partial(mechanisms.chain, 5), device, 120.0, rate)
+    energy = mechanisms.change_of_energy(trace)
+    assert energy.max() < 1e-3
+    assert energy[-60:].max() > -0.03
 
 
 @pytest.mark.parametrize(

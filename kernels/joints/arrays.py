@@ -94,6 +94,8 @@ Joints = layout(
     ),
     base_position=Scratch(wp.vec3d, "joined", "m", "position at the start of the step, or of a part of it"),
     base_turn=Scratch(wp.quatd, "joined", "", "orientation at the start of the step, or of a part of it"),
+    linear_before=Scratch(wp.vec3, "joined", "m/s", "velocity before the impulses of a part of the step"),
+    angular_before=Scratch(wp.vec3, "joined", "rad/s", "angular velocity before the impulses of a part of the step"),
     pose_spin=Scratch(wp.vec3d, "joined", "rad/s", "angular velocity predicted for the end of the step"),
     pose_position=Scratch(wp.vec3d, "joined", "m", "position at the start of the step, or predicted for its end"),
     pose_turn=Scratch(wp.quatd, "joined", "", "orientation at the start of the step, or predicted for its end"),

@@ -2,18 +2,20 @@
 
 A part is a step of SHAKE: impulses along the rows of the pose at its start, with joints that hold at its end. This
 scheme is symplectic, so that energy does not drift (Leimkuhler and Reich 2004), as long as the masses are those of the
-bodies, and the length of the parts does not matter much. It has no solution where links turn by about a radian.
+bodies. Where the length of the parts changes, the velocities of passive mechanisms are scaled so that what the scheme
+conserves does not change, and their steps are divided until it is conserved. There is no solution where links turn by
+about a radian in a part.
 """
 
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import VELOCITY, load_velocity
-from warp_rigid.kernels.common.team import Team, max_of_lanes, sync_team
-from warp_rigid.kernels.enums import Coordinate, Role
+from warp_rigid.kernels.common.team import Team, any_of_team, max_of_lanes, sync_team
+from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints
-from warp_rigid.kernels.joints.joint_rows import center_of, has_coordinate, present_rows, vibrations_of
+from warp_rigid.kernels.joints.joint_rows import center_of, has_coordinate, is_locked, present_rows, vibrations_of
 from warp_rigid.kernels.joints.mechanism import predict_mechanism, settle_mechanism, start_mechanism, take_poses
-from warp_rigid.kernels.joints.poses import ends_of, take_pose
+from warp_rigid.kernels.joints.poses import ends_of, free_row, take_pose
 from warp_rigid.kernels.schema import Bodies, Motions, State
 from warp_rigid.kernels.update.integrate import mat33d, rotation_vector, turn_freely
 
@@ -23,11 +25,34 @@ MOST_PARTS = wp.constant(64)
 """Maximum number of parts. Vibrations that are faster are slowed, and faster turns lose energy."""
 
 LARGEST_TURN = wp.constant(0.1)
-"""Angle by which links turn in a part, at most [rad]. Where the length of the parts changes, the energy changes by a
-twelfth of the square of this angle."""
+"""Angle by which links turn in a part, at most [rad]."""
+
+LARGEST_SCALING = wp.constant(0.05)
+"""Largest relative change of the velocities where the length of the parts changes."""
+
+LARGEST_GROWTH = wp.constant(wp.float64(2.0e-3))
+"""Largest energy that a part of a passive mechanism adds for a time, over the kinetic energy. A uniform turn by
+LARGEST_TURN adds half as much."""
 
 TINY = wp.constant(1.0e-6)
 """Length below which an arm counts as none [m]."""
+
+
+@wp.struct
+class Balance:
+    """Energies of a mechanism at the start of a part.
+
+    Attributes:
+        kinetic: kinetic energy [J].
+        slope: its change for a relative change of the velocities before the part [J].
+        growth: what the scheme adds to the energy for a time, over the square of the length of the part [J/s^2].
+        fall: such an addition that always is allowed, as it hardly changes a motion that starts from rest [J/s^2].
+    """
+
+    kinetic: wp.float64
+    slope: wp.float64
+    growth: wp.float64
+    fall: wp.float64
 
 
 @wp.func
@@ -87,20 +112,125 @@ def accelerate(m: int, time: float, team: Team, motions: Motions, joints: Joints
 
 
 @wp.func
-def begin_parts(m: int, team: Team, state: State, motions: Motions, joints: Joints):
-    """Return to the poses and velocities at the start of the step."""
+def begin_parts(m: int, scale: float, early: float, team: Team, state: State, motions: Motions, joints: Joints):
+    """Return to the poses at the start of the step, and to its velocities, scaled, with the acceleration of a time."""
     take_poses(m, team, state, joints)
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         b = joints.member[i]
         if motions.role[b] == Role.FREE:
-            motions.solver_bodies[b].linear = state.linear_velocity[b]
-            motions.solver_bodies[b].angular = state.angular_velocity[b]
+            motions.solver_bodies[b].linear = scale * state.linear_velocity[b]
+            motions.solver_bodies[b].angular = scale * state.angular_velocity[b]
+    store_before_part(m, team, motions, joints)
+    accelerate(m, early, team, motions, joints)
+
+
+@wp.func
+def store_before_part(m: int, team: Team, motions: Motions, joints: Joints):
+    """Store the velocities before the impulses of a part."""
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
+        b = joints.member[i]
+        joints.linear_before[b] = motions.solver_bodies[b].linear
+        joints.angular_before[b] = motions.solver_bodies[b].angular
     sync_team(team)
 
 
 @wp.func
+def product_of(b: int, linear: wp.vec3, spin: wp.vec3, by: wp.vec3, turned: wp.vec3, bodies: Bodies, joints: Joints):
+    """Product of two motions of a body, by its mass and moment of inertia."""
+    r = joints.base_turn[b]
+    momentum = mat33d(bodies.inertia[b]) * wp.quat_rotate_inv(r, wp.vec3d(spin))
+    sum = wp.dot(momentum, wp.quat_rotate_inv(r, wp.vec3d(turned)))
+    return sum + wp.float64(bodies.mass[b]) * wp.dot(wp.vec3d(linear), wp.vec3d(by))
+
+
+@wp.func
+def is_driven(j: int, motions: Motions, joints: Joints):
+    """1 if a joint may do work in this step, by its drive, friction, damping or a limit that it meets, or is broken."""
+    if joints.broken[j] == 1:
+        return 1
+    held = present_rows(j, motions, joints)
+    if joints.numbers[j, JointNumber.LOWER] == joints.numbers[j, JointNumber.UPPER]:
+        held = held | (1 << wp.max(free_row(joints.coordinate[j]), 0))
+    for k in range(6):
+        if not is_locked(held, k) and joints.total[j][k] != wp.float64(0.0):
+            return 1
+    return 0
+
+
+@wp.func
+def is_passive(m: int, team: Team, motions: Motions, joints: Joints):
+    """1 if a mechanism is held by the world, and only the accelerations of the step do work on it.
+
+    To scale the velocities of one that is not held would change its angular momentum.
+    """
+    driven = int(1 - joints.anchored[m])
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
+        driven |= is_driven(joints.sequence[place], motions, joints)
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
+        driven |= wp.where(motions.role[joints.member[i]] == Role.KINEMATIC, 1, 0)
+    return 1 - any_of_team(driven, team)
+
+
+@wp.func
+def balance_of(m: int, before: float, time: float, bodies: Bodies, motions: Motions, joints: Joints):
+    """Energies of a mechanism at the start of a part.
+
+    While the length h of the parts stays the same, the scheme conserves H - h^2 (P / 12 - A / 24), up to terms in h^4:
+    H is the energy, P the second derivative of the kinetic energy, which is the product of the accelerations of the
+    step with those of the bodies, and A is the product of the latter with themselves (Hairer, Lubich and Wanner,
+    Geometric Numerical Integration, section IX.3).
+
+    Args:
+        m: the mechanism.
+        before: length of the part before [s].
+        time: length of the part [s].
+        bodies: the bodies.
+        motions: their velocities after the impulses of the part.
+        joints: the joints.
+    """
+    balance = Balance()
+    two = wp.float64(2.0)
+    twelve = wp.float64(12.0)
+    rate = 2.0 / (before + time)
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            v = joints.linear_before[b]
+            w = joints.angular_before[b]
+            a = rate * (motions.solver_bodies[b].linear - v)
+            s = rate * (motions.solver_bodies[b].angular - w)
+            now = v + 0.5 * before * a
+            spin = w + 0.5 * before * s
+            pull = motions.acceleration[b]
+            twist = motions.spin_acceleration[b]
+            power = product_of(b, pull, twist, a, s, bodies, joints)
+            square = product_of(b, a, s, a, s, bodies, joints)
+            balance.kinetic += product_of(b, now, spin, now, spin, bodies, joints) / two
+            balance.slope += product_of(b, now, spin, v, w, bodies, joints)
+            balance.growth += (power - square / two) / twelve
+            balance.fall += product_of(b, pull, twist, pull, twist, bodies, joints) / twelve
+    return balance
+
+
+@wp.func
+def scale_at_change(balance: Balance, before: float, time: float):
+    """Factor of the velocities before a part of another length, with which the scheme goes on with the same energy."""
+    change = wp.float64(time * time - before * before) * balance.growth
+    if balance.slope <= wp.float64(0.0):
+        return 1.0
+    return 1.0 + wp.clamp(float(change / balance.slope), -LARGEST_SCALING, LARGEST_SCALING)
+
+
+@wp.func
+def is_too_long(balance: Balance, dt: float, time: float):
+    """Whether shorter parts are needed to keep the energy."""
+    growth = wp.abs(balance.growth) * wp.float64(time * time)
+    return growth > LARGEST_GROWTH * balance.kinetic + balance.fall * wp.float64(dt * dt)
+
+
+@wp.func
 def end_part(m: int, time: float, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """Advance to the poses and velocities at the end of a part."""
+    """Advance to the poses and velocities at the end of a part, which are those before the next one."""
     predict_mechanism(m, time, 0, team, bodies, state, motions, joints)
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         b = joints.member[i]
@@ -109,7 +239,7 @@ def end_part(m: int, time: float, team: Team, bodies: Bodies, state: State, moti
         if motions.role[b] == Role.FREE:
             spin = joints.pose_spin[b] - wp.vec3d(state.angular_velocity_remainder[b])
             motions.solver_bodies[b].angular = wp.vec3(spin)
-    sync_team(team)
+    store_before_part(m, team, motions, joints)
 
 
 @wp.func
@@ -124,21 +254,37 @@ def try_parts(
     motions: Motions,
     joints: Joints,
 ):
-    """Move a mechanism in equal parts. Returns 1 if the joints do not hold.
+    """Move a mechanism in equal parts. Returns 1 if the joints do not hold, or a passive one does not keep its energy.
 
-    Velocities belong to the middle of the last part, so the first one takes half of that part's acceleration.
+    Velocities belong to the middle of the last part, so the first one takes half of that part's acceleration. Where the
+    length of the parts of a passive mechanism changes, the first one is done twice: its impulses tell by which factor
+    the velocities keep the energy. In the first step of all, the velocities are those of the scene.
     """
     time = dt / float(parts)
-    begin_parts(m, team, state, motions, joints)
-    accelerate(m, 0.5 * (dt / float(wp.max(joints.parts[m], 1)) - time), team, motions, joints)
+    before = float(dt / float(wp.max(joints.parts[m], 1)))
+    early = 0.5 * (before - time)
+    begin_parts(m, 1.0, early, team, state, motions, joints)
     failed = int(0)
-    part = int(0)
+    passive = int(0)
+    part = int(wp.where(before == time or joints.parts[m] == 0, 0, -1))
     while part < parts:
         if part > 0:
             end_part(m, time, team, bodies, state, motions, joints)
+            before = time
         start_mechanism(m, dt, parts, team, bodies, motions, joints)
         accelerate(m, time, team, motions, joints)
         failed = settle_mechanism(m, time, 0, exact, team, bodies, state, motions, joints)
+        if part <= 0:
+            passive = exact * is_passive(m, team, motions, joints)
+            if passive == 0:
+                part = 0
+        if passive == 1 and failed == 0:
+            balance = balance_of(m, before, time, bodies, motions, joints)
+            if part == -1:
+                sync_team(team)
+                begin_parts(m, scale_at_change(balance, before, time), early, team, state, motions, joints)
+            elif 2 * parts <= MOST_PARTS and is_too_long(balance, dt, time):
+                failed = 1
         part = wp.where(failed * exact == 1, parts, part + 1)
     return failed
 
