@@ -78,7 +78,9 @@ Joints = layout(
     lower=Scratch(mat66d, "blocks", "SI", "block of the factor below the diagonal"),
     factorizations=Reused(int, "mechanisms", "", "number of factorizations so far", start=0),
     activity=Scratch(int, "mechanisms", "", "in this step: STILL, UNTOUCHED or IN_CONTACT"),
-    parts=Remembered(int, "mechanisms", "", "equal parts in which it was moved in the last step; 0: one"),
+    parts=Remembered(
+        int, "mechanisms", "", "equal parts in which it was moved in the last step; 0 where they lose energy"
+    ),
     loaded=Scratch(int, "mechanisms", "", "how its contacts are solved: SWEPT, TOUCHED, LOADED or CRUSHED"),
     weight=Scratch(float, "mechanisms", "kg", "mass of its dynamic bodies"),
     unsettled=Scratch(int, "mechanisms", "", "1: the solutions at predicted poses did not converge in this step"),
@@ -96,6 +98,7 @@ Joints = layout(
     base_turn=Scratch(wp.quatd, "joined", "", "orientation at the start of the step, or of a part of it"),
     linear_before=Scratch(wp.vec3, "joined", "m/s", "velocity before the impulses of a part of the step"),
     angular_before=Scratch(wp.vec3, "joined", "rad/s", "angular velocity before the impulses of a part of the step"),
+    balance=Scratch(wp.vec4d, "joined", "SI", "contributions to the energies of `balance_of`"),
     pose_spin=Scratch(wp.vec3d, "joined", "rad/s", "angular velocity predicted for the end of the step"),
     pose_position=Scratch(wp.vec3d, "joined", "m", "position at the start of the step, or predicted for its end"),
     pose_turn=Scratch(wp.quatd, "joined", "", "orientation at the start of the step, or predicted for its end"),

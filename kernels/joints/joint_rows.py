@@ -242,16 +242,19 @@ def apply_solution(m: int, which: int, team: Team, motions: Motions, joints: Joi
 
 
 @wp.func
-def present_rows(j: int, motions: Motions, joints: Joints):
-    """Rows that a joint prevents in this step; 0 if it is broken or one of its bodies is switched off."""
+def is_present(j: int, motions: Motions, joints: Joints):
+    """Whether a joint acts in this step: it is not broken, and its bodies are not switched off."""
     absent = motions.role[joints.body_a[j]] == Role.ABSENT or motions.role[joints.body_b[j]] == Role.ABSENT
-    if joints.broken[j] == 1 or absent:
-        return 0
-    return joints.locked[j]
+    return joints.broken[j] == 0 and not absent
+
+
+@wp.func
+def present_rows(j: int, motions: Motions, joints: Joints):
+    """Rows that a joint prevents in this step; 0 if it does not act."""
+    return wp.where(is_present(j, motions, joints), joints.locked[j], 0)
 
 
 @wp.func
 def has_coordinate(j: int, motions: Motions, joints: Joints):
     """Whether limits, drive and friction of a joint act in this step."""
-    absent = motions.role[joints.body_a[j]] == Role.ABSENT or motions.role[joints.body_b[j]] == Role.ABSENT
-    return joints.broken[j] == 0 and not absent and free_row(joints.coordinate[j]) >= 0
+    return is_present(j, motions, joints) and free_row(joints.coordinate[j]) >= 0

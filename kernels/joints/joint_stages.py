@@ -135,7 +135,8 @@ def start_joints(dt: float, lanes: int, bodies: Bodies, state: State, motions: M
     if team.lane == 0:
         joints.activity[m] = activity
     if activity == IN_CONTACT:
-        joints.parts[m] = 1
+        if team.lane == 0:
+            joints.parts[m] = 0
         take_poses(m, team, state, joints)
         start_mechanism(m, dt, 1, team, bodies, motions, joints)
         factorize(m, dt, team, motions, joints)

@@ -2,9 +2,8 @@
 
 A part is a step of SHAKE: impulses along the rows of the pose at its start, with joints that hold at its end. This
 scheme is symplectic, so that energy does not drift (Leimkuhler and Reich 2004), as long as the masses are those of the
-bodies. Where the length of the parts changes, the velocities of passive mechanisms are scaled so that what the scheme
-conserves does not change, and their steps are divided until it is conserved. There is no solution where links turn by
-about a radian in a part.
+bodies and the length of the parts stays the same. Where it changes, velocities of passive mechanisms are scaled so that
+what the scheme conserves does not change. There is no solution where links turn by about a radian in a part.
 """
 
 import warp as wp
@@ -13,7 +12,14 @@ from warp_rigid.kernels.common.solver_body import VELOCITY, load_velocity
 from warp_rigid.kernels.common.team import Team, any_of_team, max_of_lanes, sync_team
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints
-from warp_rigid.kernels.joints.joint_rows import center_of, has_coordinate, is_locked, present_rows, vibrations_of
+from warp_rigid.kernels.joints.joint_rows import (
+    center_of,
+    has_coordinate,
+    is_locked,
+    is_present,
+    present_rows,
+    vibrations_of,
+)
 from warp_rigid.kernels.joints.mechanism import predict_mechanism, settle_mechanism, start_mechanism, take_poses
 from warp_rigid.kernels.joints.poses import ends_of, free_row, take_pose
 from warp_rigid.kernels.schema import Bodies, Motions, State
@@ -32,7 +38,7 @@ LARGEST_SCALING = wp.constant(0.05)
 
 LARGEST_GROWTH = wp.constant(wp.float64(2.0e-3))
 """Largest energy that a part of a passive mechanism adds for a time, over the kinetic energy. A uniform turn by
-LARGEST_TURN adds half as much."""
+LARGEST_TURN adds less than half as much."""
 
 TINY = wp.constant(1.0e-6)
 """Length below which an arm counts as none [m]."""
@@ -145,10 +151,10 @@ def product_of(b: int, linear: wp.vec3, spin: wp.vec3, by: wp.vec3, turned: wp.v
 
 @wp.func
 def is_driven(j: int, motions: Motions, joints: Joints):
-    """1 if a joint may do work in this step, by its drive, friction, damping or a limit that it meets, or is broken."""
-    if joints.broken[j] == 1:
+    """1 if a joint does work in this part, by drive, friction, damping, armature or a limit, or if it does not act."""
+    if not is_present(j, motions, joints):
         return 1
-    held = present_rows(j, motions, joints)
+    held = joints.locked[j]
     if joints.numbers[j, JointNumber.LOWER] == joints.numbers[j, JointNumber.UPPER]:
         held = held | (1 << wp.max(free_row(joints.coordinate[j]), 0))
     for k in range(6):
@@ -159,9 +165,9 @@ def is_driven(j: int, motions: Motions, joints: Joints):
 
 @wp.func
 def is_passive(m: int, team: Team, motions: Motions, joints: Joints):
-    """1 if a mechanism is held by the world, and only the accelerations of the step do work on it.
+    """1 if a mechanism is held by the world, and nothing but the accelerations of the step does work on it.
 
-    To scale the velocities of one that is not held would change its angular momentum.
+    To scale the velocities of one that is not held would change its momentum.
     """
     driven = int(1 - joints.anchored[m])
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
@@ -172,44 +178,50 @@ def is_passive(m: int, team: Team, motions: Motions, joints: Joints):
 
 
 @wp.func
-def balance_of(m: int, before: float, time: float, bodies: Bodies, motions: Motions, joints: Joints):
-    """Energies of a mechanism at the start of a part.
+def balance_terms(b: int, before: float, time: float, bodies: Bodies, motions: Motions, joints: Joints):
+    """Contributions of a body to the energies of `balance_of`; 0 unless it is free to move."""
+    if motions.role[b] != Role.FREE:
+        return wp.vec4d()
+    v = joints.linear_before[b]
+    w = joints.angular_before[b]
+    rate = 2.0 / (before + time)
+    a = rate * (motions.solver_bodies[b].linear - v)
+    s = rate * (motions.solver_bodies[b].angular - w)
+    now = v + 0.5 * before * a
+    spin = w + 0.5 * before * s
+    pull = motions.acceleration[b]
+    twist = motions.spin_acceleration[b]
+    two = wp.float64(2.0)
+    twelve = wp.float64(12.0)
+    power = product_of(b, pull, twist, a, s, bodies, joints)
+    square = product_of(b, a, s, a, s, bodies, joints)
+    return wp.vec4d(
+        product_of(b, now, spin, now, spin, bodies, joints) / two,
+        product_of(b, now, spin, v, w, bodies, joints),
+        (power - square / two) / twelve,
+        product_of(b, pull, twist, pull, twist, bodies, joints) / twelve,
+    )
+
+
+@wp.func
+def balance_of(m: int, before: float, time: float, team: Team, bodies: Bodies, motions: Motions, joints: Joints):
+    """Energies of a mechanism at the start of a part, after its impulses.
 
     While the length h of the parts stays the same, the scheme conserves H - h^2 (P / 12 - A / 24), up to terms in h^4:
     H is the energy, P the second derivative of the kinetic energy, which is the product of the accelerations of the
     step with those of the bodies, and A is the product of the latter with themselves (Hairer, Lubich and Wanner,
     Geometric Numerical Integration, section IX.3).
 
-    Args:
-        m: the mechanism.
-        before: length of the part before [s].
-        time: length of the part [s].
-        bodies: the bodies.
-        motions: their velocities after the impulses of the part.
-        joints: the joints.
+    `before`: length of the part before [s]. `time`: length of this part [s].
     """
-    balance = Balance()
-    two = wp.float64(2.0)
-    twelve = wp.float64(12.0)
-    rate = 2.0 / (before + time)
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         b = joints.member[i]
-        if motions.role[b] == Role.FREE:
-            v = joints.linear_before[b]
-            w = joints.angular_before[b]
-            a = rate * (motions.solver_bodies[b].linear - v)
-            s = rate * (motions.solver_bodies[b].angular - w)
-            now = v + 0.5 * before * a
-            spin = w + 0.5 * before * s
-            pull = motions.acceleration[b]
-            twist = motions.spin_acceleration[b]
-            power = product_of(b, pull, twist, a, s, bodies, joints)
-            square = product_of(b, a, s, a, s, bodies, joints)
-            balance.kinetic += product_of(b, now, spin, now, spin, bodies, joints) / two
-            balance.slope += product_of(b, now, spin, v, w, bodies, joints)
-            balance.growth += (power - square / two) / twelve
-            balance.fall += product_of(b, pull, twist, pull, twist, bodies, joints) / twelve
-    return balance
+        joints.balance[b] = balance_terms(b, before, time, bodies, motions, joints)
+    sync_team(team)
+    sums = wp.vec4d()
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        sums += joints.balance[joints.member[i]]
+    return Balance(sums[0], sums[1], sums[2], sums[3])
 
 
 @wp.func
@@ -257,15 +269,14 @@ def try_parts(
     """Move a mechanism in equal parts. Returns 1 if the joints do not hold, or a passive one does not keep its energy.
 
     Velocities belong to the middle of the last part, so the first one takes half of that part's acceleration. Where the
-    length of the parts of a passive mechanism changes, the first one is done twice: its impulses tell by which factor
-    the velocities keep the energy. In the first step of all, the velocities are those of the scene.
+    length of the parts of a passive mechanism changes, the first one is solved twice: its impulses tell by which factor
+    the velocities keep the energy. Velocities that are not those of a part, with `parts` of 0, are not scaled.
     """
     time = dt / float(parts)
     before = float(dt / float(wp.max(joints.parts[m], 1)))
     early = 0.5 * (before - time)
     begin_parts(m, 1.0, early, team, state, motions, joints)
     failed = int(0)
-    passive = int(0)
     part = int(wp.where(before == time or joints.parts[m] == 0, 0, -1))
     while part < parts:
         if part > 0:
@@ -274,17 +285,14 @@ def try_parts(
         start_mechanism(m, dt, parts, team, bodies, motions, joints)
         accelerate(m, time, team, motions, joints)
         failed = settle_mechanism(m, time, 0, exact, team, bodies, state, motions, joints)
-        if part <= 0:
-            passive = exact * is_passive(m, team, motions, joints)
-            if passive == 0:
-                part = 0
-        if passive == 1 and failed == 0:
-            balance = balance_of(m, before, time, bodies, motions, joints)
+        if exact * (1 - failed) == 1 and is_passive(m, team, motions, joints) == 1:
+            balance = balance_of(m, before, time, team, bodies, motions, joints)
             if part == -1:
-                sync_team(team)
                 begin_parts(m, scale_at_change(balance, before, time), early, team, state, motions, joints)
             elif 2 * parts <= MOST_PARTS and is_too_long(balance, dt, time):
                 failed = 1
+        else:
+            part = wp.max(part, 0)
         part = wp.where(failed * exact == 1, parts, part + 1)
     return failed
 
@@ -331,8 +339,6 @@ def finish_parts(
         j = joints.sequence[place]
         joints.total[j] = wp.float64(parts) * joints.total[j]
     sync_team(team)
-    if team.lane == 0:
-        joints.parts[m] = parts
 
 
 @wp.func
@@ -345,7 +351,10 @@ def move_in_parts(m: int, dt: float, team: Team, bodies: Bodies, state: State, m
         failed = try_parts(m, dt, parts, 1, team, bodies, state, motions, joints)
         if failed == 1:
             parts = 2 * parts
+    exact = 1 - failed
     if failed == 1:
         parts = 1
         failed = try_parts(m, dt, parts, 0, team, bodies, state, motions, joints)
     finish_parts(m, dt, parts, team, bodies, state, motions, joints)
+    if team.lane == 0:
+        joints.parts[m] = exact * parts
