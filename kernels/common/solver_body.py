@@ -7,7 +7,7 @@ four words, and read group by group (declare.py).
 import warp as wp
 
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader
-from warp_rigid.kernels.schema import Motions, OrderRecord, SolverBodyRecord
+from warp_rigid.kernels.schema import Bodies, Motions, OrderRecord, SolverBodyRecord
 
 wp.set_module_options({"enable_backward": False})
 
@@ -70,6 +70,20 @@ def inertia_at(b: int, bodies: wp.array[SolverBodyRecord]):
 def inverse_inertia_of(b: int, motions: Motions):
     """A body's inverse inertia tensor in the world frame [1/(kg m^2)]."""
     return inertia_at(b, motions.solver_bodies)
+
+
+@wp.func
+def inverse_inertia_at(b: int, turn: wp.quat, bodies: Bodies):
+    """A body's inverse inertia tensor in the world frame, for an orientation [1/(kg m^2)]."""
+    r = wp.quat_to_matrix(turn)
+    return r * bodies.inverse_inertia[b] * wp.transpose(r)
+
+
+@wp.func
+def store_inverse_inertia(b: int, inverse: wp.mat33, motions: Motions):
+    """Store a body's inverse inertia tensor in the world frame [1/(kg m^2)]."""
+    motions.solver_bodies[b].inverse_inertia_xx = wp.vec4(inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 1])
+    motions.solver_bodies[b].inverse_inertia_yz = wp.vec3(inverse[1, 2], inverse[2, 2], 0.0)
 
 
 @wp.func

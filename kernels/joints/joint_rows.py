@@ -6,7 +6,14 @@ the centres of mass. An impulse along the row acts on both bodies at the same po
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY, inverse_inertia_of, inverse_mass_of, load_velocity
+from warp_rigid.kernels.common.solver_body import (
+    PUSH,
+    VELOCITY,
+    inverse_inertia_of,
+    inverse_mass_of,
+    load_velocity,
+    store_inverse_inertia,
+)
 from warp_rigid.kernels.common.team import Team, sync_team
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat33d
@@ -151,12 +158,8 @@ def store_masses(i: int, dt: float, parts: int, bodies: Bodies, motions: Motions
     inverse = mat33d(inverse_inertia_of(b, motions))
     if added[0] + added[1] > wp.float64(0.0):
         inverse = wp.inverse(wp.inverse(inverse) + added[1] * wp.identity(n=3, dtype=wp.float64))
-        inertia = wp.mat33(inverse)
         motions.solver_bodies[b].inverse_mass = float(joints.inverse_mass[b])
-        motions.solver_bodies[b].inverse_inertia_xx = wp.vec4(
-            inertia[0, 0], inertia[0, 1], inertia[0, 2], inertia[1, 1]
-        )
-        motions.solver_bodies[b].inverse_inertia_yz = wp.vec3(inertia[1, 2], inertia[2, 2], 0.0)
+        store_inverse_inertia(b, wp.mat33(inverse), motions)
     joints.inverse_inertia[b] = inverse
 
 

@@ -8,7 +8,12 @@ what the scheme conserves does not change. There is no solution where links turn
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import VELOCITY, load_velocity
+from warp_rigid.kernels.common.solver_body import (
+    VELOCITY,
+    inverse_inertia_at,
+    load_velocity,
+    store_inverse_inertia,
+)
 from warp_rigid.kernels.common.team import Team, any_of_team, max_of_lanes, sync_team
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints
@@ -118,7 +123,9 @@ def accelerate(m: int, time: float, team: Team, motions: Motions, joints: Joints
 
 
 @wp.func
-def begin_parts(m: int, scale: float, early: float, team: Team, state: State, motions: Motions, joints: Joints):
+def begin_parts(
+    m: int, scale: float, early: float, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints
+):
     """Return to the poses at the start of the step, and to its velocities, scaled, with the acceleration of a time."""
     take_poses(m, team, state, joints)
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
@@ -126,6 +133,7 @@ def begin_parts(m: int, scale: float, early: float, team: Team, state: State, mo
         if motions.role[b] == Role.FREE:
             motions.solver_bodies[b].linear = scale * state.linear_velocity[b]
             motions.solver_bodies[b].angular = scale * state.angular_velocity[b]
+            store_inverse_inertia(b, inverse_inertia_at(b, state.orientation[b], bodies), motions)
     store_before_part(m, team, motions, joints)
     accelerate(m, early, team, motions, joints)
 
@@ -251,6 +259,7 @@ def end_part(m: int, time: float, team: Team, bodies: Bodies, state: State, moti
         if motions.role[b] == Role.FREE:
             spin = joints.pose_spin[b] - wp.vec3d(state.angular_velocity_remainder[b])
             motions.solver_bodies[b].angular = wp.vec3(spin)
+            store_inverse_inertia(b, inverse_inertia_at(b, wp.quat(joints.pose_turn[b]), bodies), motions)
     store_before_part(m, team, motions, joints)
 
 
@@ -275,7 +284,7 @@ def try_parts(
     time = dt / float(parts)
     before = float(dt / float(wp.max(joints.parts[m], 1)))
     early = 0.5 * (before - time)
-    begin_parts(m, 1.0, early, team, state, motions, joints)
+    begin_parts(m, 1.0, early, team, bodies, state, motions, joints)
     failed = int(0)
     part = int(wp.where(before == time or joints.parts[m] == 0, 0, -1))
     while part < parts:
@@ -288,7 +297,7 @@ def try_parts(
         if exact * (1 - failed) == 1 and is_passive(m, team, motions, joints) == 1:
             balance = balance_of(m, before, time, team, bodies, motions, joints)
             if part == -1:
-                begin_parts(m, scale_at_change(balance, before, time), early, team, state, motions, joints)
+                begin_parts(m, scale_at_change(balance, before, time), early, team, bodies, state, motions, joints)
             elif 2 * parts <= MOST_PARTS and is_too_long(balance, dt, time):
                 failed = 1
         else:
@@ -309,6 +318,7 @@ def join_parts(b: int, dt: float, bodies: Bodies, state: State, motions: Motions
     take_pose(b, state, joints)
     if motions.role[b] != Role.FREE:
         return
+    store_inverse_inertia(b, inverse_inertia_at(b, state.orientation[b], bodies), motions)
     step = wp.float64(dt)
     back, reverse = turn_freely(turn, -spin, mat33d(bodies.inertia[b]), step)
     between = back * wp.quat_inverse(joints.base_turn[b])

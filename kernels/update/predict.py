@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from warp_rigid.kernels.common.solver_body import inverse_inertia_at
 from warp_rigid.kernels.enums import Motion, Role
 from warp_rigid.kernels.schema import (
     Bodies,
@@ -91,8 +92,7 @@ def derive_motion(
     turn = state.orientation[b]
     center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
     motions.center[b] = center
-    r = wp.quat_to_matrix(turn)
-    inverse = r * bodies.inverse_inertia[b] * wp.transpose(r)
+    inverse = inverse_inertia_at(b, turn, bodies)
     solver_body = SolverBodyRecord()
     solver_body.linear = state.linear_velocity[b]
     solver_body.inverse_mass = bodies.inverse_mass[b]
