@@ -16,6 +16,11 @@ LARGEST_FILE, LARGEST_IMAGE = 2**26, 2**26
 """Largest size of an image that is read [bytes], and number of its pixels."""
 LARGEST_SIDE = 2048
 """Width and height to which larger images are reduced for drawing [pixel]."""
+MEDIA_TYPES = {"PNG": "image/png", "JPEG": "image/jpeg"}
+"""Formats that glTF files may have."""
+JPEG_QUALITY = 92
+ORIENTATION = 0x0112
+"""EXIF tag of a turn, which only some readers apply; 1 is none."""
 SAMPLED = 64
 """Width and height to which an image is reduced before its colours are averaged [pixel]."""
 
@@ -38,8 +43,8 @@ def image_bytes(path: str) -> bytes:
     return bytes(opened.GetBuffer())
 
 
-def open_image(path: str) -> tuple["Image.Image", str, bytes]:
-    """An image as RGB, its format, such as "PNG", and the content of its file.
+def open_image(path: str) -> tuple["Image.Image", str, bytes | None]:
+    """An image as RGB, its format, such as "PNG", and the content of its file if browsers show it alike, else None.
 
     Raises:
         ValueError: It cannot be read; the message states why, without the path.
@@ -53,7 +58,9 @@ def open_image(path: str) -> tuple["Image.Image", str, bytes]:
         with Image.open(io.BytesIO(content)) as image:
             if image.width * image.height > LARGEST_IMAGE:
                 raise ValueError(f"more than {LARGEST_IMAGE >> 20} million pixels")
-            return image.convert("RGB"), str(image.format), content
+            known = image.format in MEDIA_TYPES and image.mode in ("RGB", "RGBA", "L", "P")
+            alike = known and image.getexif().get(ORIENTATION, 1) == 1
+            return image.convert("RGB"), str(image.format), content if alike else None
     except Image.UnidentifiedImageError:
         raise ValueError("no image of a known format") from None
     except Image.DecompressionBombError:
@@ -69,6 +76,25 @@ def read_image(path: str) -> "Image.Image | None":
     except ValueError as error:
         warn_of_image(path, error)
         return None
+
+
+def embedded_image(path: str) -> tuple[bytes, str] | None:
+    """Content of an image and its media type, image/png or image/jpeg; None, with a warning, if it cannot be read.
+
+    A file of another format, or of more than LARGEST_SIDE pixels a side, is converted.
+    """
+    try:
+        image, kind, content = open_image(path)
+    except ValueError as error:
+        warn_of_image(path, error)
+        return None
+    kind = kind if kind in MEDIA_TYPES else "PNG"
+    if content is None or max(image.size) > LARGEST_SIDE:
+        image.thumbnail((LARGEST_SIDE, LARGEST_SIDE), image_filter())
+        written = io.BytesIO()
+        image.save(written, kind, quality=JPEG_QUALITY)
+        content = written.getvalue()
+    return content, MEDIA_TYPES[kind]
 
 
 def warn_of_image(path: str, reason: ValueError) -> None:
