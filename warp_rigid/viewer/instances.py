@@ -13,7 +13,7 @@ FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
 
 
 @dataclass
-class Batch:
+class DrawnBatch:
     """Instances of one mesh with one image, or without.
 
     Attributes:
@@ -126,7 +126,7 @@ class Instances:
             if batch.pictured is not None:
                 batch.picture(shown[batch.chosen])
 
-    def _add(self, index: int, moves: bool, image: int, chosen: np.ndarray, film: Film) -> Batch:
+    def _add(self, index: int, moves: bool, image: int, chosen: np.ndarray, film: Film) -> DrawnBatch:
         mesh, scene = film.meshes[index], self._server.scene
         name = f"{MOVING_GROUP if moves else FIXED_GROUP}/mesh_{index}" + (f"_image_{image}" if image >= 0 else "")
         common = {
@@ -140,8 +140,8 @@ class Instances:
             name, *creased(mesh), batched_colors=self._own[chosen], side="double" if mesh.flat else "front", **common
         )
         if content is None:
-            return Batch(chosen, moves, plain)
-        return Batch(chosen, moves, plain, scene.add_batched_glb(f"{name}_shown", content, **common))
+            return DrawnBatch(chosen, moves, plain)
+        return DrawnBatch(chosen, moves, plain, scene.add_batched_glb(f"{name}_shown", content, **common))
 
 
 def creased(mesh: DrawnMesh) -> tuple[np.ndarray, np.ndarray]:
