@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 import warp_rigid as wr
 from warp_rigid import scenes
@@ -83,6 +84,18 @@ def test_meshes_of_another_size_than_the_other_bodies(size, other, motion, words
     found = hints_on([scene], 1 / 240)
     assert len(found) == (words is not None)
     assert all(words in text and "body part" in text and "scale=" in text for text in found)
+
+
+def test_an_image_that_no_shape_shows(tmp_path):
+    Image.new("RGB", (2, 2)).save(tmp_path / "image.png")
+    scene = wr.Scene()
+    box = trimesh.creation.box((1, 1, 1))
+    for name, shape in (("a", wr.Mesh(box.vertices, box.faces, 8, uv=box.vertices[:, :2])), ("b", wr.Box((1, 1, 1)))):
+        scene.looks[scene.add_body(shape, name=name)] = wr.Look(image=tmp_path / "image.png")
+    (found,) = hinted(lambda: wr.Simulator(scene, device="cpu"))
+    assert found.startswith("body b: the image of its look is not shown")
+    del scene.looks[1]
+    assert hints_on([scene], 1 / 240) == []
 
 
 def test_a_slide_of_many_metres_is_no_hinge():

@@ -12,7 +12,7 @@ from tests.usd_tools import start_of
 from warp_rigid.render.film import film_from_recording
 from warp_rigid.scene.look import Look
 from warp_rigid.viewer.instances import Instances
-from warp_rigid.viewer.page import start_server, stop_server
+from warp_rigid.viewer.page import opacity_of_walls, start_server, stop_server
 from warp_rigid.viewer.textured_mesh import textured_mesh
 
 MAP = np.array([[0.25, 0.5, -1.0], [0.75, -0.125, 0.5]])
@@ -52,6 +52,16 @@ def test_large_images_are_reduced(tmp_path):
     film, _ = film_with_images(tmp_path, (3000, 30))
     (part,) = parts_of(textured_mesh(film.meshes[0], film.images[0], np.array([9, 9, 9])))
     assert part.visual.material.baseColorTexture.size == (1024, 10)
+
+
+def test_walls_with_an_image_are_opaque(tmp_path):
+    Image.new("RGB", (2, 2)).save(tmp_path / "image.png")
+    wall = trimesh.creation.box((2, 0.02, 2))
+    scene = wr.Scene()
+    for place in range(2):
+        scene.add_static(wr.Mesh(wall.vertices, wall.faces, 16, uv=wall.vertices[:, ::2]), position=(0, place, 1))
+    scene.looks[1] = Look(image=tmp_path / "image.png")
+    assert opacity_of_walls(film_from_recording(start_of(scene))).tolist() == [0.35, 1.0]
 
 
 @pytest.fixture

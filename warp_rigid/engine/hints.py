@@ -1,4 +1,4 @@
-"""Hints on scenes that are legal, but probably in other units than metres, seconds and radians."""
+"""Hints on scenes that are legal, but probably not meant, such as numbers in other units than metres and radians."""
 
 import math
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ def hints_on(scenes: Sequence[Scene], dt: float) -> list[str]:
     for scene in scenes:
         if scene.import_report is None:  # files state their units
             found += [*_limits_in_degrees(scene), *_targets_in_degrees(scene), *_meshes_of_another_unit(scene)]
-        found += _long_steps(scene, dt)
+        found += [*_images_without_coordinates(scene), *_long_steps(scene, dt)]
     return list(dict.fromkeys(found))
 
 
@@ -77,6 +77,15 @@ def _meshes_of_another_unit(scene: Scene) -> list[str]:
             text = f"its mesh is {size[first]:.3g} m long, {times} the size of the other bodies"
             remedy = "if its file is not in metres, use Mesh.from_file(..., scale=), 0.001 for mm"
             return [f"body {moving[first].name}: {text}; {remedy}"]
+    return []
+
+
+def _images_without_coordinates(scene: Scene) -> list[str]:
+    """Images of bodies that cannot show them."""
+    for body, look in sorted(scene.looks.items()):
+        if look.image is not None and scene.bodies[body].shape.surface_uv() is None:
+            text = f"body {scene.bodies[body].name}: the image of its look is not shown"
+            return [f"{text}: its shape has no texture coordinates, which meshes have with wr.Mesh(..., uv=)"]
     return []
 
 
