@@ -264,6 +264,17 @@ def test_textures_are_written(tmp_path, profile, layout, suffix):
     assert validator_errors(path) == []
 
 
+def test_a_package_without_the_image_has_the_colour(tmp_path):
+    scene = imported(tmp_path / "assets")
+    recording, image = start_of(scene), tmp_path / "assets" / "image.png"
+    image.unlink()
+    with pytest.warns(UserWarning, match="no such file") as found:
+        wr.export_usd(recording, tmp_path / "film.usdz", profile="scene")
+    assert len(found) == 1 and str(found[0].message).startswith(f"{image}: ")
+    assert textured_meshes(tmp_path / "film.usdz") == []
+    assert np.allclose(wr.import_usd(tmp_path / "film.usdz").looks[0].color, scene.looks[0].color)
+
+
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
 def test_textures_survive_a_round_trip(tmp_path, suffix):
     scene = imported(tmp_path / "assets")

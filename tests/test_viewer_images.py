@@ -98,5 +98,18 @@ def test_opaque_bodies_of_their_own_colour_show_their_image(instances):
     assert shown(made) == {"pictured": [], "plain": [0, 1, 2, 3]}
     made.wire(False)
     assert shown(made) == {"pictured": images, "plain": rest}
-    made.pose(film.position[0] + (0, 0, 5), film.orientation[0])
-    assert all((handle.batched_positions[:, 2] == 5.0).all() for handle, _ in made.handles)
+
+
+def test_what_is_hidden_is_not_moved_until_it_is_shown(instances):
+    made, film = instances
+
+    def heights():
+        return {float(handle.batched_positions[0, 2]) for handle, _ in made.handles if handle.visible}
+
+    assert sorted(handle.visible for handle, _ in made.handles) == [False, False, True, True, True]
+    for step, on in enumerate((False, True, True, False), start=1):
+        made.wire(on)
+        assert heights() == {step - 1.0}
+        made.pose(film.position[0] + (0, 0, step), film.orientation[0])
+        assert heights() == {float(step)}
+    assert {float(handle.batched_positions[0, 2]) for handle, _ in made.handles} == {3.0, 4.0}

@@ -35,11 +35,24 @@ class DrawnBatch:
 
     def picture(self, shown: np.ndarray) -> None:
         """Draw some of the instances with their image, (instances of the batch,) bool."""
-        for handle, drawn in ((self.plain, ~shown), (self.pictured, shown)):
+        for handle, other, drawn in ((self.plain, self.pictured, ~shown), (self.pictured, self.plain, shown)):
+            if drawn.any():
+                if not handle.visible:
+                    self._place(handle, other.batched_positions, other.batched_wxyzs)
+                scales = None if drawn.all() else drawn.astype(np.float32)
+                if not np.array_equal(handle.batched_scales, scales):
+                    handle.batched_scales = scales
             handle.visible = bool(drawn.any())
-            scales = None if drawn.all() else drawn.astype(np.float32)
-            if handle.visible and not np.array_equal(handle.batched_scales, scales):
-                handle.batched_scales = scales
+
+    def pose(self, positions: np.ndarray, wxyzs: np.ndarray) -> None:
+        """Move the instances: (instances of the batch, 3) and (instances of the batch, 4). What is hidden stays."""
+        for handle in self.handles:
+            if handle.visible:
+                self._place(handle, positions, wxyzs)
+
+    @staticmethod
+    def _place(handle: Any, positions: np.ndarray, wxyzs: np.ndarray) -> None:
+        handle.batched_positions, handle.batched_wxyzs = positions, wxyzs
 
 
 class Instances:
@@ -83,9 +96,8 @@ class Instances:
         """Move the moving instances: (instances, 3) and (instances, 4), quaternions (x, y, z, w)."""
         wxyz = orientation[:, [3, 0, 1, 2]]
         for batch in self._batches:
-            for handle in batch.handles if batch.moves else ():
-                handle.batched_positions = position[batch.chosen]
-                handle.batched_wxyzs = wxyz[batch.chosen]
+            if batch.moves:
+                batch.pose(position[batch.chosen], wxyz[batch.chosen])
 
     def color(self, colors: np.ndarray) -> None:
         """Colour all instances, (instances, 3) uint8; batches whose colours are unchanged are not sent."""
