@@ -79,7 +79,7 @@ def _own(parameter, path, size):
     if not isinstance(path, str | os.PathLike):
         raise ValueError(f"{parameter}: must be the path of a mesh file, got {path!r}")
     try:
-        vertices, faces = mesh_files.load(path)
+        vertices, faces, *_ = mesh_files.load(path)
         return Mesh(vertices * (size / np.ptp(vertices, axis=0).max()), faces)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{parameter}: {error}") from None

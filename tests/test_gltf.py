@@ -1,5 +1,6 @@
 """The .glb file, read with a glTF reader that did not write it."""
 
+import io
 import json
 import struct
 import sys
@@ -7,12 +8,15 @@ import sys
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 import warp_rigid as wr
 from tests.fakes import FakeSimulator
 from tests.oracles import rotation_matrix
 from warp_rigid.commands import cli
 from warp_rigid.render.appearance import spread_of
+from warp_rigid.render.textures import embedded_image
+from warp_rigid.scene.look import Look
 
 FRAMES = 20
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
@@ -37,7 +41,12 @@ def path(recording, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def content(path):
-    """The file's JSON and a function that reads an accessor, from the format's definition."""
+    """The JSON of the file, and a function that reads an accessor."""
+    return parsed(path)
+
+
+def parsed(path):
+    """A file's JSON and a function that reads an accessor, from the format's definition."""
     data = path.read_bytes()
     magic, version, length = struct.unpack("<4sII", data[:12])
     assert (magic, version, length) == (b"glTF", 2, len(data))
@@ -48,7 +57,7 @@ def content(path):
     def read(index):
         accessor = tree["accessors"][index]
         view = tree["bufferViews"][accessor["bufferView"]]
-        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
         dtype = {5126: np.float32, 5125: np.uint32}[accessor["componentType"]]
         found = np.frombuffer(blob, dtype, accessor["count"] * width, view.get("byteOffset", 0))
         return found.reshape(-1, width)
@@ -122,3 +131,89 @@ def test_bad_arguments_are_named(recording, tmp_path):
         wr.export_gltf(recording, tmp_path / "a.gltf")
     with pytest.raises(ValueError, match="envs: "):
         wr.export_gltf(recording, tmp_path / "a.glb", envs=[5])
+
+
+@pytest.fixture(scope="module")
+def textured(tmp_path_factory):
+    """Path of a file with three bodies of one mesh, two of them with an image, and a compound of it and a box.
+
+    The texture coordinates are a linear map of the places. Also the pixels of the image.
+    """
+    folder = tmp_path_factory.mktemp("textured")
+    pixels = np.random.default_rng(5).integers(0, 256, (4, 8, 3)).astype(np.uint8)
+    Image.fromarray(pixels).save(folder / "image.png")
+    box = trimesh.creation.box((1, 1, 1))
+    mesh = wr.Mesh(box.vertices, box.faces, 16, uv=box.vertices @ MAP.T)
+    pair = wr.Compound([(wr.Box((0.2, 0.2, 0.2)), (0, 0, 2), (0, 0, 0, 1)), (mesh, (0, 0, 0), (0, 0, 0, 1))])
+    scene = wr.Scene()
+    for place, shape in enumerate((mesh, mesh, mesh, pair)):
+        scene.add_body(shape, position=(2.0 * place, 0, 0), name=f"body_{place}")
+    scene.looks = {k: Look((0.1, 0.2, 0.3), 0.25, 0.5, folder / "image.png") for k in (0, 1, 3)}
+    wr.export_gltf(wr.record(FakeSimulator(scene), 2), folder / "film.glb")
+    return folder / "film.glb", pixels
+
+
+MAP = np.array([[0.25, 0.5, -1.0], [0.75, -0.125, 0.5]])
+
+
+def test_images_are_embedded_once_and_texture_coordinates_run_downward(textured):
+    path, pixels = textured
+    tree, read = parsed(path)
+    (image,), (texture,) = tree["images"], tree["textures"]
+    assert texture["source"] == 0 and image["mimeType"] == "image/png"
+    assert all(tree["bufferViews"][entry["bufferView"]].get("byteOffset", 0) % 4 == 0 for entry in tree["accessors"])
+    found = {node["name"]: tree["meshes"][node["mesh"]]["primitives"] for node in tree["nodes"] if "mesh" in node}
+    assert found["body_0"] == found["body_1"] and [len(entry) for entry in found.values()] == [1, 1, 1, 2]
+    for name in ("body_0", "body_3"):
+        attributes, material = (found[name][0][key] for key in ("attributes", "material"))
+        u, v = read(attributes["TEXCOORD_0"]).T
+        np.testing.assert_allclose(np.stack([u, 1.0 - v]).T, read(attributes["POSITION"]) @ MAP.T, atol=1e-6)
+        shading = tree["materials"][material]["pbrMetallicRoughness"]
+        assert shading["baseColorTexture"]["index"] == 0 and shading["baseColorFactor"] == [1, 1, 1, 1]
+        assert (shading["roughnessFactor"], shading["metallicFactor"]) == (0.25, 0.5)
+    for plain in (found["body_2"][0], found["body_3"][1]):
+        assert "TEXCOORD_0" not in plain["attributes"]
+        assert "baseColorTexture" not in tree["materials"][plain["material"]]["pbrMetallicRoughness"]
+
+
+def test_another_reader_finds_the_image_and_the_coordinates(textured):
+    """Trimesh turns v upward again; the places are those of the mesh, before the node's pose."""
+    path, pixels = textured
+    meshes = trimesh.load(path, process=False).geometry.values()
+    shown = [mesh for mesh in meshes if getattr(mesh.visual, "uv", None) is not None]
+    assert len(shown) == 2
+    for mesh in shown:
+        np.testing.assert_allclose(mesh.visual.uv, mesh.vertices @ MAP.T, atol=1e-6)
+        np.testing.assert_array_equal(np.asarray(mesh.visual.material.baseColorTexture.convert("RGB")), pixels)
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "media_type", "size"),
+    [
+        ("a.jpg", "RGB", "image/jpeg", (64, 32)),
+        ("a.jpg", "CMYK", "image/jpeg", (64, 32)),
+        ("a.bmp", "RGB", "image/png", (64, 32)),
+        ("a.png", "I;16", "image/png", (64, 32)),
+        ("a.png", "RGB", "image/png", (3000, 10)),
+    ],
+)
+def test_images_of_other_formats_and_large_ones_are_converted(tmp_path, name, mode, media_type, size):
+    Image.new("RGB" if mode == "CMYK" else mode, size).convert(mode).save(tmp_path / name)
+    content, found = embedded_image(str(tmp_path / name))
+    again = Image.open(io.BytesIO(content))
+    assert found == media_type == Image.MIME[again.format] and again.mode == "RGB"
+    assert again.size == (size if max(size) <= 2048 else (2048, 7))
+    assert (content == (tmp_path / name).read_bytes()) == ((name, mode, size) == ("a.jpg", "RGB", (64, 32)))
+
+
+def test_an_image_that_cannot_be_read_leaves_the_colour(tmp_path):
+    (tmp_path / "image.png").write_bytes(b"no image")
+    box = trimesh.creation.box((1, 1, 1))
+    scene = wr.Scene()
+    scene.add_body(wr.Mesh(box.vertices, box.faces, 16, uv=box.vertices @ MAP.T))
+    scene.looks[0] = Look((0.125, 0.25, 0.5), image=tmp_path / "image.png")
+    with pytest.warns(UserWarning, match="no image of a known format"):
+        wr.export_gltf(wr.record(FakeSimulator(scene), 2), tmp_path / "film.glb")
+    tree, _ = parsed(tmp_path / "film.glb")
+    assert not tree.get("images") and not tree.get("textures")
+    assert tree["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] == [0.125, 0.25, 0.5, 1]

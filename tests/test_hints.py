@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 import warp_rigid as wr
 from warp_rigid import scenes
@@ -44,6 +45,57 @@ def test_limits_beyond_a_full_turn(limits, count):
     scene = hinge(limits)
     found = hinted(lambda: [wr.Simulator(scene, device="cpu") for _ in range(3)])
     assert len(found) == count and all("elbow" in text and "np.radians" in text for text in found)
+
+
+@pytest.mark.parametrize(("target", "stiffness", "count"), [(90.0, 10.0, 1), (-6.0, 10.0, 0), (90.0, 0.0, 0)])
+def test_targets_beyond_a_full_turn(target, stiffness, count):
+    scene = hinge(None)
+    scene.add_drive(0, stiffness=stiffness, damping=1.0, target_position=target)
+    found = hints_on([scene], 1 / 240)
+    assert len(found) == count and all("elbow" in text and "np.radians(90)" in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "count"), [((0, 0, 90, 0), 1), ((45.0, 0, 0, 1), 1), ((0, 0, 1, 1), 0), ((1, 1, 1, 1), 0)]
+)
+def test_orientations_in_degrees(orientation, count):
+    found = hinted(lambda: wr.Scene().add_body(wr.Sphere(0.1), orientation=orientation))
+    assert len(found) == count and all(text.startswith("orientation: ") for text in found)
+
+
+@pytest.mark.parametrize(
+    ("size", "other", "motion", "words"),
+    [
+        (50.0, 0.2, "add_body", "250 times"),
+        (5.0, 0.02, "add_kinematic", "250 times"),
+        (0.001, 0.2, "add_body", "1/200 of"),
+        (10.0, 0.2, "add_body", None),
+        (50.0, 0.2, "add_static", None),
+        (50.0, None, "add_body", None),
+    ],
+)
+def test_meshes_of_another_size_than_the_other_bodies(size, other, motion, words):
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    box = trimesh.creation.box((size, size / 2, size / 2))
+    getattr(scene, motion)(wr.Mesh(box.vertices, box.faces, 8), name="part")
+    for i in range(0 if other is None else 3):
+        scene.add_body(wr.Box((other / 2,) * 3), position=(100 + i, 0, 0))
+    found = hints_on([scene], 1 / 240)
+    assert len(found) == (words is not None)
+    assert all(words in text and "body part" in text and "scale=" in text for text in found)
+
+
+def test_an_image_that_no_shape_shows(tmp_path):
+    Image.new("RGB", (2, 2)).save(tmp_path / "image.png")
+    scene = wr.Scene()
+    box = trimesh.creation.box((1, 1, 1))
+    for name, shape in (("a", wr.Mesh(box.vertices, box.faces, 8, uv=box.vertices[:, :2])), ("b", wr.Box((1, 1, 1)))):
+        scene.looks[scene.add_body(shape, name=name)] = wr.Look(image=tmp_path / "image.png")
+    (found,) = hinted(lambda: wr.Simulator(scene, device="cpu"))
+    assert found.startswith("body b: the image of its look is not shown")
+    del scene.looks[1]
+    assert hints_on([scene], 1 / 240) == []
 
 
 def test_a_slide_of_many_metres_is_no_hinge():

@@ -290,7 +290,7 @@ def test_bunny(bunny):
     import warp
 
     raw = Path(warp.__file__).parent / "examples" / "assets" / "bunny.usd"
-    upright, _ = mesh_files.load(raw)
+    upright, *_ = mesh_files.load(raw)
     scale = 0.2 / np.ptp(upright, axis=0).max()
     gap = np.linalg.norm(bunny.vertices[0] - bunny.vertices[5000])
     assert gap == pytest.approx(scale * np.linalg.norm(upright[0] - upright[5000]))

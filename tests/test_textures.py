@@ -1,5 +1,7 @@
 """Texture coordinates and images: of meshes, read from USD, written again, and drawn."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
@@ -182,6 +184,7 @@ def test_meshes_differ_by_their_coordinates_and_keep_them_in_files(tmp_path):
     scene = wr.Scene()
     scene.add_body(mesh)
     scene.add_body(wr.Compound([(plain, (0, 0, 0), (0, 0, 0, 1)), (mesh, (0, 0, 1), (0, 0, 0, 1))]), position=(3, 0, 0))
+    checker(tmp_path / "image.png")
     scene.looks[0] = Look(image=tmp_path / "image.png")
     (again,) = scenes_from_data(*scenes_to_data([scene]))
     assert again.bodies[0].shape == mesh and again.looks == scene.looks
@@ -202,6 +205,13 @@ def test_coordinates_that_are_refused(uv, message):
 def test_an_image_must_be_a_path():
     with pytest.raises(ValueError, match=r"^image: must be the path of a file, got 3"):
         Look(image=3)
+
+
+@pytest.mark.parametrize("name", ["missing.png", "missing.usdz[image.png]"])
+def test_an_image_must_exist(tmp_path, name):
+    with pytest.raises(FileNotFoundError) as error:
+        Look(image=tmp_path / name)
+    assert str(error.value) == f"image: no such file: {tmp_path / name}"
 
 
 def imported(folder):
@@ -254,6 +264,17 @@ def test_textures_are_written(tmp_path, profile, layout, suffix):
     assert validator_errors(path) == []
 
 
+def test_a_package_without_the_image_has_the_colour(tmp_path):
+    scene = imported(tmp_path / "assets")
+    recording, image = start_of(scene), tmp_path / "assets" / "image.png"
+    image.unlink()
+    with pytest.warns(UserWarning, match="no such file") as found:
+        wr.export_usd(recording, tmp_path / "film.usdz", profile="scene")
+    assert len(found) == 1 and str(found[0].message).startswith(f"{image}: ")
+    assert textured_meshes(tmp_path / "film.usdz") == []
+    assert np.allclose(wr.import_usd(tmp_path / "film.usdz").looks[0].color, scene.looks[0].color)
+
+
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
 def test_textures_survive_a_round_trip(tmp_path, suffix):
     scene = imported(tmp_path / "assets")
@@ -276,8 +297,8 @@ def test_a_compound_keeps_the_coordinates_of_its_meshes(tmp_path):
     mesh = wr.Mesh(box.vertices, box.faces, 16, uv=box.vertices @ MAP.T)
     scene = wr.Scene()
     parts = [(wr.Box((0.5, 0.5, 0.5)), (0, 0, 0), (0, 0, 0, 1)), (mesh, (0, 0, 1), (0, 0, 0, 1))]
-    scene.looks[scene.add_body(wr.Compound(parts))] = Look((0.5, 0.5, 0.5), image=tmp_path / "image.png")
     checker(tmp_path / "image.png")
+    scene.looks[scene.add_body(wr.Compound(parts))] = Look((0.5, 0.5, 0.5), image=tmp_path / "image.png")
     wr.export_usd(start_of(scene), tmp_path / "film.usda", profile="scene")
     ((points, uv, _),) = textured_meshes(tmp_path / "film.usda")
     np.testing.assert_allclose(uv[36:], (points[36:] - (0, 0, 1)) @ MAP.T, atol=1e-6)
@@ -383,12 +404,49 @@ def test_images_repeat_and_blur_from_afar(tmp_path):
         np.testing.assert_allclose(at(x, y)[0], expected, atol=0.02)
 
 
-def test_an_image_that_is_missing_leaves_the_colour(tmp_path):
-    scene = slab(tmp_path, np.zeros((2, 2, 3), np.uint8))
-    scene.looks[0] = Look((0.2, 0.4, 0.6), 1.0, 0.0, tmp_path / "image.png")
-    (tmp_path / "image.png").write_bytes(b"no image")
-    at = seen(film_from_recording(start_of(scene)))
+def told(act):
+    """The result of a call, and the messages of its warnings."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        result = act()
+    return result, [str(one.message) for one in found]
+
+
+@pytest.mark.parametrize("content", [b"no image", None, b"half"])
+def test_an_image_that_cannot_be_read_leaves_the_colour_and_is_named_once(tmp_path, content):
+    """Also of a recording that was saved while the image was there."""
+    image = tmp_path / "image.png"
+    scene = slab(tmp_path, np.zeros((64, 64, 3), np.uint8))
+    scene.looks[0] = Look((0.2, 0.4, 0.6), 1.0, 0.0, image)
+    start_of(scene).save(tmp_path / "film.npz")
+    half = image.read_bytes()[:60]
+    image.unlink()
+    if content is not None:
+        image.write_bytes(half if content == b"half" else content)
+    recording = Recording.load(tmp_path / "film.npz")
+    assert recording.looks == scene.looks
+    film = film_from_recording(recording)
+    at, messages = told(lambda: seen(film))
     np.testing.assert_array_equal(at(0.0, 0.0)[0], plain_color(scene, (0.2, 0.4, 0.6), 0.0, 0.0))
+    assert len(messages) == 1 and messages[0].startswith(f"{image}: ") and "\n" not in messages[0]
+    assert told(lambda: seen(film))[1] == []
+
+
+@pytest.mark.parametrize("content", [b"no image", None])
+def test_an_image_that_a_file_lacks_is_named_once_and_reported(tmp_path, content):
+    """Two bodies have it; both have the fallback of the texture."""
+    points, _ = prism()
+    stage = stage_with_prism(tmp_path / "l.usda", "vertex", points @ MAP.T)
+    fallback = UsdShade.Shader.Get(stage, "/World/paint/image").CreateInput("fallback", Sdf.ValueTypeNames.Float4)
+    fallback.Set((0.1, 0.2, 0.3, 1.0))
+    Sdf.CopySpec(stage.GetRootLayer(), "/World/body", stage.GetRootLayer(), "/World/other")
+    stage.Save()
+    if content is not None:
+        (tmp_path / "image.png").write_bytes(content)
+    scene, messages = told(lambda: wr.import_usd(tmp_path / "l.usda"))
+    assert len(messages) == 1 and messages[0].startswith(f"{tmp_path / 'image.png'}: ")
+    assert [finding.path for finding in scene.import_report.changed] == ["/World/body", "/World/other"]
+    assert np.allclose([look.color for look in scene.looks.values()], (0.1, 0.2, 0.3)) and len(scene.looks) == 2
 
 
 def test_a_colouring_hides_the_images_of_dynamic_bodies(tmp_path):

@@ -14,6 +14,9 @@ import warp_rigid as wr
 ROOT = Path(__file__).resolve().parents[1]
 
 PROGRAM = """
+import numpy as np
+
+
 def tower(count: int) -> wr.Scene:
     scene = wr.Scene(gravity=(0, 0, -9.81))
     scene.add_static(wr.Plane(), name="ground")

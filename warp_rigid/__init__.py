@@ -42,6 +42,7 @@ from warp_rigid.scene.joints import (
     RevoluteJoint,
     SphericalJoint,
 )
+from warp_rigid.scene.look import Look
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import (
@@ -79,6 +80,7 @@ __all__ = [
     "Integers",
     "Joint",
     "LogUniform",
+    "Look",
     "Mesh",
     "Motion",
     "NonFiniteError",

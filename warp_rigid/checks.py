@@ -6,6 +6,7 @@ device.
 
 import difflib
 import math
+import warnings
 
 import numpy as np
 
@@ -35,6 +36,8 @@ EXACT = 2.0**53
 _PLAIN = frozenset({float, int, np.float64})
 """Types of numbers that need no conversion by NumPy, which takes long for the millions of numbers of a scene."""
 LONGEST = 80
+LONGEST_QUATERNION = 3.0
+"""Length beyond which a quaternion is doubted; the numbers 0 and 1 make at most 2."""
 MOST_LISTED = 8
 """Maximum number of names of a scene, or of environments, in a message."""
 MOST_SUGGESTED = 3
@@ -231,7 +234,7 @@ def listed(entries):
 
 
 def unit_quaternion(name, value):
-    """Check a rotation and normalise it.
+    """Check a rotation and normalise it; warn of one that is probably angles.
 
     Args:
         name: name of the value in the message.
@@ -247,6 +250,9 @@ def unit_quaternion(name, value):
     length = math.hypot(*quaternion)
     if length < 1e-6:
         raise ValueError(f"{name}: must be a quaternion (x, y, z, w) of length > 0, got {shown(value)}")
+    if length > LONGEST_QUATERNION:
+        text = f"{name}: {shown(value)} is taken as a quaternion (x, y, z, w) and divided by its length, {length:.3g}"
+        warnings.warn(f"{text}; it is no list of angles", stacklevel=4)
     # A unit quaternion is returned bit for bit.
     return quaternion if abs(length - 1.0) <= 1e-15 else tuple(x / length for x in quaternion)
 

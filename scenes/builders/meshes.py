@@ -29,7 +29,7 @@ def bunny(size: float = 0.2, sdf_resolution: int = 64) -> Mesh:
     import warp
 
     path = os.path.join(os.path.dirname(warp.__file__), "examples", "assets", "bunny.usd")
-    vertices, faces = mesh_files.load(path)
+    vertices, faces, *_ = mesh_files.load(path)
     vertices = vertices * (number_in("size", size, above=0) / np.ptp(vertices, axis=0).max())
     solid = mass_properties.polyhedron(vertices, faces)
     _, axes = np.linalg.eigh(solid.inertia)

@@ -1,4 +1,4 @@
-"""Hints on scenes that are legal, but probably in other units than metres, seconds and radians."""
+"""Hints on scenes that are legal, but probably not meant, such as numbers in other units than metres and radians."""
 
 import math
 from collections.abc import Sequence
@@ -8,12 +8,15 @@ import numpy as np
 from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.scene.body_columns import column, extents, is_dynamic, shapes_of
 from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Mesh
 
 __all__ = ["hints_on"]
 
 FULL_TURN = 2.0 * math.pi
 LONGEST_STEP = 1.0
 """Largest way of a body in a step, relative to its largest extent."""
+LARGEST_RATIO = 100.0
+"""Of the size of a mesh to the median size of the other bodies, and the other way round."""
 LARGEST_TURN = 0.5 * math.pi
 """Largest turn of a body in a step [rad]."""
 
@@ -25,14 +28,16 @@ def hints_on(scenes: Sequence[Scene], dt: float) -> list[str]:
         scenes: the scenes at their start.
         dt: the time step [s].
     """
-    found = [hint for scene in scenes for hint in (*_limits_in_degrees(scene), *_long_steps(scene, dt))]
+    found = []
+    for scene in scenes:
+        if scene.import_report is None:  # files state their units
+            found += [*_limits_in_degrees(scene), *_targets_in_degrees(scene), *_meshes_of_another_unit(scene)]
+        found += [*_images_without_coordinates(scene), *_long_steps(scene, dt)]
     return list(dict.fromkeys(found))
 
 
 def _limits_in_degrees(scene: Scene) -> list[str]:
-    """Limits of hinges beyond a full turn. Files state their unit."""
-    if scene.import_report is not None:
-        return []
+    """Limits of hinges beyond a full turn."""
     hinges = [entry for entry in scene.joints if entry.joint.coordinate == Coordinate.ANGLE]
     beyond = [entry for entry in hinges if any(FULL_TURN < abs(limit) < math.inf for limit in entry.joint.range)]
     return [
@@ -40,6 +45,48 @@ def _limits_in_degrees(scene: Scene) -> list[str]:
         f"use limits=np.radians({_numbers(entry.joint.range)})"
         for entry in beyond[:1]
     ]
+
+
+def _targets_in_degrees(scene: Scene) -> list[str]:
+    """Positions to which drives turn hinges beyond a full turn."""
+    found = []
+    for entry in scene.joints:
+        if entry.joint.coordinate == Coordinate.ANGLE and entry.drive is not None and entry.drive.stiffness > 0.0:
+            angle = entry.drive.target_position
+            if abs(angle) > FULL_TURN:
+                text = (
+                    f"joint {entry.name}: target_position of {angle:g} rad is beyond a full turn; if it is in degrees"
+                )
+                found.append(f"{text}, use np.radians({angle:g})")
+    return found[:1]
+
+
+def _meshes_of_another_unit(scene: Scene) -> list[str]:
+    """Movable meshes that are far larger or smaller than the other movable bodies."""
+    moving = [body for body in scene.bodies if body.motion != Motion.STATIC]
+    shapes, shape_of = shapes_of(moving)
+    size = extents(shapes).max(axis=1)[shape_of]
+    for index, shape in enumerate(shapes):
+        others = size[(shape_of != index) & np.isfinite(size)]
+        if not isinstance(shape, Mesh) or not len(others):
+            continue
+        first = int(np.argmax(shape_of == index))
+        ratio = size[first] / float(np.median(others))
+        if not 1.0 / LARGEST_RATIO <= ratio <= LARGEST_RATIO:
+            times = f"{ratio:.3g} times" if ratio > 1.0 else f"1/{1.0 / ratio:.3g} of"
+            text = f"its mesh is {size[first]:.3g} m long, {times} the size of the other bodies"
+            remedy = "if its file is not in metres, use Mesh.from_file(..., scale=), 0.001 for mm"
+            return [f"body {moving[first].name}: {text}; {remedy}"]
+    return []
+
+
+def _images_without_coordinates(scene: Scene) -> list[str]:
+    """Images of bodies that cannot show them."""
+    for body, look in sorted(scene.looks.items()):
+        if look.image is not None and scene.bodies[body].shape.surface_uv() is None:
+            text = f"body {scene.bodies[body].name}: the image of its look is not shown"
+            return [f"{text}: its shape has no texture coordinates, which meshes have with wr.Mesh(..., uv=)"]
+    return []
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -1,19 +1,38 @@
 """Reading triangle meshes from files."""
 
+import contextlib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.files import polygons
+from warp_rigid.files.usd_meshes import usd_coordinates, usd_corners
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 TRIMESH_SUFFIXES = (".stl", ".glb", ".gltf")
 
 
-def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """All triangles of a file: vertices (n, 3) float64, faces (m, 3) int64.
+class Triangles(NamedTuple):
+    """All triangles of a file.
+
+    Attributes:
+        vertices: (n, 3) float64.
+        faces: (m, 3) int64.
+        uv: texture coordinates of the corners of the faces (m, 3, 2), NaN where a corner has none; None without.
+        image: the image of the first material that has one: the path of its file, or an image of Pillow that is in the
+            file; None without.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray | None = None
+    image: Any = None
+
+
+def load(path, scale: float = 1.0) -> Triangles:
+    """All triangles of a file.
 
     Args:
         path: the file; the suffix selects the format.
@@ -32,13 +51,13 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     try:
-        vertices, faces = _load(path, suffix)
+        found = _load(path, suffix)
     except Exception as error:  # the exceptions of the parsers are not documented
         reason = (str(error).strip() or repr(error)).splitlines()[0]
         raise ValueError(reason if reason.startswith(f"{path}: ") else f"{path}: cannot be read: {reason}") from None
-    if not len(faces):
+    if not len(found.faces):
         raise ValueError(f"{path}: holds no triangles")
-    return scale * vertices, faces
+    return found._replace(vertices=scale * found.vertices)
 
 
 def states_its_unit(path) -> bool:
@@ -46,16 +65,18 @@ def states_its_unit(path) -> bool:
     return Path(path).suffix.lower() in (".glb", ".gltf", *USD_SUFFIXES)
 
 
-def _load(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
+def _load(path: Path, suffix: str) -> Triangles:
     if suffix in USD_SUFFIXES:
         return _load_usd(path)
     if suffix in TRIMESH_SUFFIXES:
         return _load_trimesh(path)
-    points, corners, sides = polygons.READERS[suffix](path)
-    return points, polygons.triangulated(points, corners, sides)
+    found = polygons.READERS[suffix](path)
+    triangles = polygons.triangles_of_corners(found.points, found.corners, found.sides)
+    uv = None if found.uv is None else found.uv[triangles]
+    return Triangles(found.points, found.corners[triangles], uv, found.image)
 
 
-def _load_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _load_trimesh(path: Path) -> Triangles:
     import trimesh
 
     class RegularFiles(trimesh.resolvers.FilePathResolver):
@@ -68,14 +89,45 @@ def _load_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 raise ValueError(f"{found}: must be a regular file")
             return found
 
-    mesh: Any = trimesh.load(path, force="mesh", process=False, resolver=RegularFiles(str(path)))
-    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
+    # Not as one mesh: trimesh would pack several images into one, and change the coordinates.
+    scene: Any = trimesh.load_scene(path, process=False, resolver=RegularFiles(str(path)))
+    meshes = [mesh for mesh in scene.dump() if hasattr(mesh, "faces")]
+    images = [image_of(mesh.visual) for mesh in scene.geometry.values() if hasattr(mesh, "faces")]
+    first = next((image for image in images if image is not None), None)
+    joined = _joined([_triangles_of(mesh) for mesh in meshes])._replace(image=first)
     if path.suffix.lower() in (".glb", ".gltf"):
-        vertices = _turn_z_up(vertices)
-    return vertices, faces
+        joined = joined._replace(vertices=_turn_z_up(joined.vertices))
+    return joined
 
 
-def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _triangles_of(mesh: Any) -> Triangles:
+    """Those of a mesh of trimesh."""
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is None or len(uv) != len(vertices):
+        return Triangles(vertices, faces)
+    return Triangles(vertices, faces, np.asarray(uv, np.float64)[faces])
+
+
+def image_of(visual: Any) -> Any:
+    """The image of the colour of a visual of trimesh, of Pillow; None without."""
+    material = getattr(visual, "material", None)
+    return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+
+
+def _joined(parts: list[Triangles]) -> Triangles:
+    """Several meshes as one."""
+    first = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
+    uv = [np.full((len(part.faces), 3, 2), np.nan) if part.uv is None else part.uv for part in parts]
+    return Triangles(
+        np.concatenate([np.zeros((0, 3)), *(part.vertices for part in parts)]),
+        np.concatenate([np.zeros((0, 3), dtype=np.int64), *faces]),
+        np.concatenate(uv) if any(part.uv is not None for part in parts) else None,
+    )
+
+
+def _load_usd(path: Path) -> Triangles:
     from pxr import Usd, UsdGeom
 
     from warp_rigid.usd.metadata import is_y_up, meters_per_unit
@@ -83,45 +135,25 @@ def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     stage = open_stage(path)
     places = UsdGeom.XformCache()
-    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
+    parts = []
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         if not prim.IsA(UsdGeom.Mesh):
             continue
-        points, triangles = usd_triangles(UsdGeom.Mesh(prim))
+        points, corners, triangles = usd_corners(UsdGeom.Mesh(prim))
+        primvar, uv = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("st"), None
+        if primvar and primvar.HasValue():
+            with contextlib.suppress(ValueError):
+                uv = usd_coordinates(UsdGeom.Mesh(prim), primvar, corners, triangles)
         matrix = np.array(places.GetLocalToWorldTransform(prim))
         if np.linalg.det(matrix[:3, :3]) < 0.0:
             triangles = triangles[:, ::-1]
-        vertices.append(points @ matrix[:3, :3] + matrix[3, :3])
-        faces.append(triangles + count)
-        count += len(points)
-    joined = np.concatenate(vertices)
+            uv = None if uv is None else uv[:, ::-1]
+        parts.append(Triangles(points @ matrix[:3, :3] + matrix[3, :3], corners[triangles], uv))
+    joined = _joined(parts)
+    vertices = joined.vertices
     if UsdGeom.StageHasAuthoredMetersPerUnit(stage):
-        joined = joined * meters_per_unit(stage)
-    if is_y_up(stage):
-        joined = _turn_z_up(joined)
-    return joined, np.concatenate(faces)
-
-
-def usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) of one USD mesh, and the triangles of its polygons (m, 3)."""
-    points, corners, triangles = usd_corners(mesh)
-    return points, corners[triangles]
-
-
-def usd_corners(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (n, 3) of one USD mesh, the point of each corner of its polygons (c,), and triangles of corners (m, 3)."""
-    from pxr import UsdGeom
-
-    points = np.array(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
-    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
-    sides = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
-    try:
-        triangles = polygons.triangles_of_corners(points, corners, sides, ("faceVertexIndices", "faceVertexCounts"))
-    except ValueError as error:
-        raise ValueError(f"{mesh.GetPath()}: {error}") from None
-    if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
-        triangles = triangles[:, ::-1]
-    return points, corners, triangles
+        vertices = vertices * meters_per_unit(stage)
+    return joined._replace(vertices=_turn_z_up(vertices) if is_y_up(stage) else vertices)
 
 
 def _turn_z_up(vertices: np.ndarray) -> np.ndarray:

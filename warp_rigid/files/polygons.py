@@ -6,12 +6,28 @@ read here, PLY with the parser of trimesh.
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-Polygons = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Points (n, 3), the corners of all polygons one after another (c,), and the number of corners of each polygon (p,)."""
+
+class Polygons(NamedTuple):
+    """Polygons of a file.
+
+    Attributes:
+        points: (n, 3).
+        corners: indices of the corners of all polygons, one after another (c,).
+        sides: number of corners of each polygon (p,).
+        uv: texture coordinates of the corners (c, 2), NaN where a corner has none; None without.
+        image: path of the image of the first material that has one.
+    """
+
+    points: np.ndarray
+    corners: np.ndarray
+    sides: np.ndarray
+    uv: np.ndarray | None = None
+    image: Path | None = None
+
 
 FLAT = 1e-9
 """Area of a triangle up to which its corners are on a line, relative to that of its polygon."""
@@ -79,11 +95,8 @@ def _listed(points: Any, polygons: Iterable[Any]) -> Polygons:
     """Polygons from the lists of their corners."""
     rows = [np.asarray(row, dtype=np.int64) for row in polygons]
     corners = np.concatenate([np.zeros(0, dtype=np.int64), *rows])
-    return (
-        np.array(points, dtype=np.float64).reshape(-1, 3),
-        corners,
-        np.array([len(row) for row in rows], dtype=np.int64),
-    )
+    sides = np.array([len(row) for row in rows], dtype=np.int64)
+    return Polygons(np.array(points, dtype=np.float64).reshape(-1, 3), corners, sides)
 
 
 def _lines(path: Path) -> list[list[str]]:
@@ -93,17 +106,46 @@ def _lines(path: Path) -> list[list[str]]:
 
 
 def _read_obj(path: Path) -> Polygons:
-    """Points and faces of an OBJ file; other lines, such as those that name files of materials, are not used."""
+    """Points, faces, texture coordinates and the first image of an OBJ file."""
     points: list[list[float]] = []
-    polygons = []
+    places: list[list[float]] = [[np.nan, np.nan]]  # the first is that of corners without one
+    polygons, uv, libraries = [], [], []
     for name, *words in _lines(path):
         if name == "v":
             points.append([float(word) for word in words[:3]])
+        elif name == "vt":
+            places.append([float(word) for word in (*words, "0")[:2]])
         elif name == "f":
             # Numbers start at 1; negative ones count back from the latest point.
-            numbers = [int(word.split("/")[0]) for word in words]
-            polygons.append([number - 1 if number >= 0 else len(points) + number for number in numbers])
-    return _listed(points, polygons)
+            numbers = [[int(part or 0) for part in (*word.split("/"), "")[:2]] for word in words]
+            polygons.append([point - 1 if point >= 0 else len(points) + point for point, _ in numbers])
+            uv += [place if place >= 0 else len(places) + place for _, place in numbers]
+        elif name == "mtllib":
+            libraries.append(path.parent / " ".join(words))
+    listed = _listed(points, polygons)
+    if len(places) == 1:
+        return listed
+    if uv and not 0 <= min(uv) <= max(uv) < len(places):
+        raise ValueError(f"vt: there are {len(places) - 1}, but a face names {max(uv)}")
+    return listed._replace(uv=np.array(places)[uv].reshape(-1, 2), image=_image_of_materials(libraries))
+
+
+def _image_of_materials(libraries: list[Path]) -> Path | None:
+    """The first image of a diffuse colour in some files of materials."""
+    for library in libraries:
+        if library.is_file():
+            for name, *words in _lines(library):
+                # Options begin with a minus; what follows the last one and its numbers is the path, spaces included.
+                while words and _is_option(words[0]):
+                    words = words[1:]
+                if name == "map_Kd" and words:
+                    return library.parent / " ".join(words).replace("\\", "/")
+    return None
+
+
+def _is_option(word: str) -> bool:
+    """Whether a word before the path of an image is an option or its value."""
+    return word.startswith("-") or word in ("on", "off") or word.replace(".", "", 1).isdigit()
 
 
 def _read_off(path: Path) -> Polygons:
@@ -121,19 +163,44 @@ def _read_off(path: Path) -> Polygons:
 
 
 def _read_ply(path: Path) -> Polygons:
-    """Points and faces of a PLY file."""
-    from trimesh.exchange.ply import load_ply
+    """Points, faces, texture coordinates and the image of a PLY file."""
+    # Not load_ply, which cannot read polygons of several sizes with texture coordinates.
+    from trimesh.exchange import ply
 
     with path.open("rb") as stream:
-        elements = load_ply(stream, skip_materials=True)["metadata"]["_ply_raw"]
+        elements, is_text, image = ply._parse_header(stream)
+        (ply._ply_ascii if is_text else ply._ply_binary)(elements, stream)
     points = np.column_stack([np.ravel(elements["vertex"]["data"][axis]) for axis in "xyz"])
-    data = elements.get("face", {}).get("data")
-    rows: Any = ()
-    for name in ("vertex_indices", "vertex_index"):
+    faces = elements.get("face", {}).get("data")
+    listed = _listed(points, _rows_of_ply(faces, "vertex_indices", "vertex_index"))
+    uv = _uv_of_ply(elements["vertex"]["data"], _rows_of_ply(faces, "texcoord"), listed.corners)
+    return listed._replace(uv=uv, image=path.parent / image if image and uv is not None else None)
+
+
+def _rows_of_ply(data: Any, *names: str) -> Any:
+    """The lists of the faces with one of some names; an empty tuple without."""
+    for name in names:
         if data is not None and name in (data.dtype.names or () if isinstance(data, np.ndarray) else data):
             rows = data[name]
-    # The parser keeps lists of one length as fields of an array in a binary file, and as rows in a text file.
-    return _listed(points, rows["f1"] if isinstance(rows, np.ndarray) and rows.dtype.names else rows)
+            # The parser keeps lists of one length as fields of an array in a binary file, and as rows in a text file.
+            return rows["f1"] if isinstance(rows, np.ndarray) and rows.dtype.names else rows
+    return ()
+
+
+def _uv_of_ply(vertices: Any, of_faces: Any, corners: np.ndarray) -> np.ndarray | None:
+    """Texture coordinates of the corners (c, 2): from lists of faces, or those of their vertices; None without."""
+    if len(of_faces):
+        uv = np.concatenate([np.ravel(row) for row in of_faces]).astype(np.float64).reshape(-1, 2)
+        if len(uv) != len(corners):
+            raise ValueError(
+                f"texcoord: must have {len(corners)} pairs, one for each corner of the faces, got {len(uv)}"
+            )
+        return uv
+    known = vertices.dtype.names or () if isinstance(vertices, np.ndarray) else vertices
+    for u, v in (("s", "t"), ("u", "v"), ("texture_u", "texture_v")):
+        if u in known and v in known:
+            return np.column_stack([np.ravel(vertices[u]), np.ravel(vertices[v])]).astype(np.float64)[corners]
+    return None
 
 
 READERS: dict[str, Callable[[Path], Polygons]] = {".obj": _read_obj, ".off": _read_off, ".ply": _read_ply}

@@ -12,10 +12,12 @@ from warp_rigid.render.appearance import (
     body_colors,
     continuous_signs,
     corner_normals,
+    drawn_looks,
     drawn_surfaces,
     environment_offsets,
     spread_of,
 )
+from warp_rigid.render.textures import embedded_image
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.look import Look
@@ -32,7 +34,7 @@ VERTICES, INDICES = 34962, 34963
 
 
 def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[int] | None = None) -> None:
-    """Write a recording as binary glTF 2.0, with one animated node per body.
+    """Write a recording as binary glTF 2.0, with one animated node per body and the images of their looks.
 
     Args:
         recording: the recording.
@@ -54,6 +56,7 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
     spread = spread_of(recording)
     surfaces = drawn_surfaces(recording, len(rows), spread)
     colors = body_colors(recording.motion, recording.looks)
+    looks = drawn_looks(recording)
     world = file.node(name="World", rotation=Z_UP_TO_Y_UP)
     orientation = continuous_signs(recording.orientation)
     time = file.numbers((recording.time - recording.time[0]).astype(np.float32), "SCALAR", bounds=True)
@@ -65,7 +68,7 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
                 int(recording.surface[body]),
                 surfaces[recording.surface[body]],
                 colors[body],
-                recording.looks.get(body, MATT),
+                looks.get(body, MATT),
             )
             node = file.node(env, name=name, mesh=mesh, translation=places[0].tolist(), rotation=turns[0].tolist())
             if (places != places[0]).any():
@@ -89,7 +92,8 @@ class _Assembly:
         )
         self._blob = bytearray()
         self._meshes: dict[tuple, int] = {}
-        self._geometry: dict[int, tuple[Any, int]] = {}
+        self._geometry: dict[tuple[int, bool], list[tuple[Any, int]]] = {}
+        self._textures: dict[str, int | None] = {}
         self._animation = library.Animation(name="simulation")
 
     def node(self, parent: int | None = None, **values) -> int:
@@ -102,14 +106,8 @@ class _Assembly:
 
     def numbers(self, values: np.ndarray, kind: str, bounds: bool = False, target: int | None = None) -> int:
         """Add an array; returns the index of its accessor."""
-        values = np.ascontiguousarray(values)
-        offset = len(self._blob)
-        self._blob += values.tobytes()
-        self._gltf.bufferViews.append(
-            self._library.BufferView(buffer=0, byteOffset=offset, byteLength=values.nbytes, target=target)
-        )
         accessor = self._library.Accessor(
-            bufferView=len(self._gltf.bufferViews) - 1,
+            bufferView=self._view(np.ascontiguousarray(values).tobytes(), target),
             componentType=UINT if values.dtype == np.uint32 else FLOAT,
             count=len(values),
             type=kind,
@@ -119,37 +117,78 @@ class _Assembly:
         self._gltf.accessors.append(accessor)
         return len(self._gltf.accessors) - 1
 
+    def _view(self, content: bytes, target: int | None = None) -> int:
+        """Add bytes, from a multiple of four on; returns the index of their view."""
+        self._blob += bytes(-len(self._blob) % 4)
+        view = self._library.BufferView(buffer=0, byteOffset=len(self._blob), byteLength=len(content), target=target)
+        self._blob += content
+        self._gltf.bufferViews.append(view)
+        return len(self._gltf.bufferViews) - 1
+
     def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray, look: Look) -> int:
         """Add surface number `index` with a colour and a look; meshes of the same surface share its arrays."""
         key = index, color.tobytes(), look
         if key not in self._meshes:
-            if index not in self._geometry:
-                self._geometry[index] = self._arrays(surface)
-            attributes, corners = self._geometry[index]
-            primitive = self._library.Primitive(
-                attributes=attributes, indices=corners, material=self._material(color, look)
-            )
-            self._gltf.meshes.append(self._library.Mesh(primitives=[primitive]))
+            texture = self._texture(look.image) if look.image else None
+            part = index, texture is not None
+            if part not in self._geometry:
+                self._geometry[part] = self._parts(surface, texture is not None)
+            primitives = [
+                self._library.Primitive(
+                    attributes=attributes,
+                    indices=corners,
+                    material=self._material(color, look, texture if attributes.TEXCOORD_0 is not None else None),
+                )
+                for attributes, corners in self._geometry[part]
+            ]
+            self._gltf.meshes.append(self._library.Mesh(primitives=primitives))
             self._meshes[key] = len(self._gltf.meshes) - 1
         return self._meshes[key]
 
-    def _arrays(self, surface: DrawnSurface) -> tuple[Any, int]:
-        """Add the distinct pairs of points and normals, and the triangle indices."""
-        corners = surface.vertices[surface.faces].reshape(-1, 3)
-        normals = corner_normals(surface.vertices, surface.faces).reshape(-1, 3)
-        pairs, index = np.unique(np.concatenate([corners, normals], axis=1), axis=0, return_inverse=True)
-        pairs = pairs.astype(np.float32)
+    def _parts(self, surface: DrawnSurface, textured: bool) -> list[tuple[Any, int]]:
+        """Add the arrays of a surface; with texture coordinates, apart for the triangles that have some."""
+        normals = corner_normals(surface.vertices, surface.faces)
+        corners = np.concatenate([surface.vertices[surface.faces], normals], axis=2)
+        if not textured or surface.uv is None:
+            return [self._arrays(corners)]
+        # In glTF, v runs downward from the upper edge of the image.
+        corners = np.concatenate([corners, surface.uv * (1, -1) + (0, 1)], axis=2)
+        has_uv = np.isfinite(surface.uv).all(axis=(1, 2))
+        parts = corners[has_uv], corners[~has_uv, :, :6]
+        return [self._arrays(part) for part in parts if len(part)]
+
+    def _arrays(self, corners: np.ndarray) -> tuple[Any, int]:
+        """Add the distinct corners (m, 3, 6 or 8) of points, normals and texture coordinates, and triangle indices."""
+        rows, index = np.unique(corners.reshape(-1, corners.shape[2]), axis=0, return_inverse=True)
+        rows = rows.astype(np.float32)
         attributes = self._library.Attributes(
-            POSITION=self.numbers(pairs[:, :3], "VEC3", bounds=True, target=VERTICES),
-            NORMAL=self.numbers(pairs[:, 3:], "VEC3", target=VERTICES),
+            POSITION=self.numbers(rows[:, :3], "VEC3", bounds=True, target=VERTICES),
+            NORMAL=self.numbers(rows[:, 3:6], "VEC3", target=VERTICES),
         )
+        if rows.shape[1] > 6:
+            attributes.TEXCOORD_0 = self.numbers(rows[:, 6:], "VEC2", target=VERTICES)
         return attributes, self.numbers(index.reshape(-1).astype(np.uint32), "SCALAR", target=INDICES)
 
-    def _material(self, color: np.ndarray, look: Look) -> int:
-        """Add a double-sided material; returns its index."""
+    def _texture(self, path: str) -> int | None:
+        """Add an image; returns the index of its texture, None if it cannot be read."""
+        if path not in self._textures:
+            found = embedded_image(path)
+            if found is not None:
+                content, media_type = found
+                self._gltf.images.append(self._library.Image(bufferView=self._view(content), mimeType=media_type))
+                self._gltf.textures.append(self._library.Texture(source=len(self._gltf.images) - 1))
+            self._textures[path] = None if found is None else len(self._gltf.textures) - 1
+        return self._textures[path]
+
+    def _material(self, color: np.ndarray, look: Look, texture: int | None) -> int:
+        """Add a double-sided material of a colour, or with a texture instead; returns its index."""
         shading = self._library.PbrMetallicRoughness(
-            baseColorFactor=[*color.tolist(), 1.0], metallicFactor=look.metallic, roughnessFactor=look.roughness
+            baseColorFactor=[*(color.tolist() if texture is None else (1.0, 1.0, 1.0)), 1.0],
+            metallicFactor=look.metallic,
+            roughnessFactor=look.roughness,
         )
+        if texture is not None:
+            shading.baseColorTexture = self._library.TextureInfo(index=texture)
         self._gltf.materials.append(
             self._library.Material(pbrMetallicRoughness=shading, doubleSided=True, alphaCutoff=None, alphaMode="OPAQUE")
         )

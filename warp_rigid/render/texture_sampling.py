@@ -9,6 +9,7 @@ import warp as wp
 from warp_rigid.render.appearance import linear_light
 from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.render.textures import image_levels
+from warp_rigid.scene.look import file_of_image
 
 wp.set_module_options({"enable_backward": False})
 
@@ -95,7 +96,7 @@ def textures_of(film: Film) -> Textures:
 
 def _levels(path: str) -> tuple[np.ndarray, ...]:
     """An image and its reductions; read once for the panels of a picture."""
-    file = Path(path.split("[")[0])
+    file = Path(file_of_image(path))
     return _levels_at(path, file.stat().st_mtime_ns if file.is_file() else 0)
 
 

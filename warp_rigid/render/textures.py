@@ -1,6 +1,7 @@
 """Images of textures: read from files, also from .usdz packages, and reduced in steps for drawing from afar."""
 
 import io
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,36 +16,95 @@ LARGEST_FILE, LARGEST_IMAGE = 2**26, 2**26
 """Largest size of an image that is read [bytes], and number of its pixels."""
 LARGEST_SIDE = 2048
 """Width and height to which larger images are reduced for drawing [pixel]."""
+MEDIA_TYPES = {"PNG": "image/png", "JPEG": "image/jpeg"}
+"""Formats that glTF files may have."""
+JPEG_QUALITY = 92
+ORIENTATION = 0x0112
+"""EXIF tag of a turn, which only some readers apply; 1 is none."""
 SAMPLED = 64
 """Width and height to which an image is reduced before its colours are averaged [pixel]."""
 
 
-def image_bytes(path: str) -> bytes | None:
-    """Content of an image file, or of a file in a package, "film.usdz[image.png]"; None if it cannot be read."""
+def image_bytes(path: str) -> bytes:
+    """Content of an image file, or of a file in a package, "film.usdz[image.png]".
+
+    Raises:
+        ValueError: It cannot be read; the message states why, without the path.
+    """
     from pxr import Ar
 
     if not Path(Ar.SplitPackageRelativePathOuter(path)[0]).is_file():
-        return None
+        raise ValueError("no such file")
     opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
-    if opened is None or opened.GetSize() > LARGEST_FILE:
-        return None
+    if opened is None:
+        raise ValueError("cannot be opened")
+    if opened.GetSize() > LARGEST_FILE:
+        raise ValueError(f"larger than {LARGEST_FILE >> 20} MiB")
     return bytes(opened.GetBuffer())
 
 
-def read_image(path: str) -> "Image.Image | None":
-    """An image as RGB; None if it cannot be read, is too large, or Pillow is not installed."""
+def open_image(path: str) -> tuple["Image.Image", str, bytes | None]:
+    """An image as RGB, its format, such as "PNG", and the content of its file if browsers show it alike, else None.
+
+    Raises:
+        ValueError: It cannot be read; the message states why, without the path.
+    """
+    content = image_bytes(path)
     try:
         from PIL import Image
     except ImportError:
-        return None
-    content = image_bytes(path)
-    if content is None:
-        return None
+        raise ValueError("Pillow is not installed: pip install 'warp-rigid[picture]'") from None
     try:
         with Image.open(io.BytesIO(content)) as image:
-            return None if image.width * image.height > LARGEST_IMAGE else image.convert("RGB")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+            if image.width * image.height > LARGEST_IMAGE:
+                raise ValueError(f"more than {LARGEST_IMAGE >> 20} million pixels")
+            known = image.format in MEDIA_TYPES and image.mode in ("RGB", "RGBA", "L", "P")
+            alike = known and image.getexif().get(ORIENTATION, 1) == 1
+            return image.convert("RGB"), str(image.format), content if alike else None
+    except Image.UnidentifiedImageError:
+        raise ValueError("no image of a known format") from None
+    except Image.DecompressionBombError:
+        raise ValueError(f"more than {LARGEST_IMAGE >> 20} million pixels") from None
+    except (OSError, SyntaxError) as error:
+        raise ValueError(f"cannot be decoded: {error}") from None
+
+
+def read_image(path: str) -> "Image.Image | None":
+    """An image as RGB; None, with a warning, if it cannot be read."""
+    try:
+        return open_image(path)[0]
+    except ValueError as error:
+        warn_of_image(path, error)
         return None
+
+
+def embedded_image(path: str) -> tuple[bytes, str] | None:
+    """Content of an image and its media type, image/png or image/jpeg; None, with a warning, if it cannot be read.
+
+    A file of another format, or of more than LARGEST_SIDE pixels a side, is converted.
+    """
+    try:
+        image, kind, content = open_image(path)
+    except ValueError as error:
+        warn_of_image(path, error)
+        return None
+    kind = kind if kind in MEDIA_TYPES else "PNG"
+    if content is None or max(image.size) > LARGEST_SIDE:
+        image.thumbnail((LARGEST_SIDE, LARGEST_SIDE), image_filter())
+        written = io.BytesIO()
+        image.save(written, kind, quality=JPEG_QUALITY)
+        content = written.getvalue()
+    return content, MEDIA_TYPES[kind]
+
+
+def warn_of_image(path: str, reason: ValueError) -> None:
+    """Warn that an image is not shown, once for each path."""
+    if path not in _warned:
+        _warned.add(path)
+        warnings.warn(f"{path}: {reason}; bodies with this image are shown in their plain colour", stacklevel=3)
+
+
+_warned: set[str] = set()
 
 
 def mean_color(path: str) -> tuple[float, float, float] | None:

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import dataclass
+from typing import Any, Self
 
 from warp_rigid.checks import finite_vector, number_in, shown, whole_in
 
@@ -14,11 +15,12 @@ class Look:
         color: (3,) linear RGB from 0 to 1; None for the colour that bodies have by their index.
         roughness: 0 for a mirror to 1 for a matt surface.
         metallic: 0 for others to 1 for metals, whose reflections have their colour.
-        image: path of an image, also in a package, "film.usdz[image.png]", made absolute. Pictures, films and USD
-            files show it, instead of the colour, on meshes with `uv`.
+        image: path of an image, also in a package, "film.usdz[image.png]", made absolute. It is shown, instead of the
+            colour, on meshes with `uv`.
 
     Raises:
         ValueError: A value is outside its range.
+        FileNotFoundError: There is no such image; the message names it.
     """
 
     color: tuple[float, float, float] | None = None
@@ -37,7 +39,28 @@ class Look:
             image: object = self.image
             if not isinstance(image, str | os.PathLike) or not os.fspath(image):
                 raise ValueError(f"image: must be the path of a file, got {shown(image)}")
-            object.__setattr__(self, "image", os.path.abspath(os.fspath(image)))
+            path = os.path.abspath(os.fspath(image))
+            if not os.path.isfile(file_of_image(path)):
+                raise FileNotFoundError(f"image: no such file: {path}")
+            object.__setattr__(self, "image", path)
+
+    @classmethod
+    def from_data(cls, color: Any, roughness: float, metallic: float, image: str | None = None) -> Self:
+        """A saved look, whose image may be elsewhere now.
+
+        Raises:
+            ValueError: A value is outside its range.
+        """
+        look = cls(color, roughness, metallic)
+        if not isinstance(image, str | None):
+            raise ValueError(f"image: must be the path of a file, got {shown(image)}")
+        object.__setattr__(look, "image", image)
+        return look
+
+
+def file_of_image(path: str) -> str:
+    """The file with an image: the path itself, or that of a package, "film.usdz[image.png]"."""
+    return path.split("[")[0] if path.endswith("]") else path
 
 
 def looks_to_data(looks: dict[int, Look]) -> list[list]:
@@ -51,4 +74,4 @@ def looks_from_data(data: list[list], bodies: int) -> dict[int, Look]:
     Raises:
         ValueError, TypeError: The data do not have that form.
     """
-    return {whole_in("body", body, 0, bodies - 1): Look(*values) for body, *values in data}
+    return {whole_in("body", body, 0, bodies - 1): Look.from_data(*values) for body, *values in data}

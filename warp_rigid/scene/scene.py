@@ -107,7 +107,7 @@ class Scene:
         bounds: as given, or None.
         out_of_bounds: as given.
         camera: as given; may be set.
-        looks: Look of bodies by their index, from the materials of an imported file.
+        looks: Look of bodies by their index, from the materials of imported files.
 
     Raises:
         ValueError: gravity is not three finite numbers, a rule is unknown, the bounds are not a box, or the camera is
@@ -506,6 +506,8 @@ class Scene:
             **coefficients,
         )
         self.bodies.append(body)
+        if shape.image is not None:
+            self.looks[len(self.bodies) - 1] = Look(image=shape.image)
         return len(self.bodies) - 1
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pxr import Ar, Sdf
 
-from warp_rigid.render.textures import image_bytes
+from warp_rigid.render.textures import image_bytes, warn_of_image
 
 COPIES = "textures"
 """Folder of the copies in a package."""
@@ -50,7 +50,11 @@ class ImagePaths:
     def _copied(self, image: str) -> Path | None:
         """Path of the copy of an image; None if it cannot be read."""
         if image not in self._copies:
-            content = image_bytes(image)
+            try:
+                content = image_bytes(image)
+            except ValueError as error:
+                warn_of_image(image, error)
+                content = None
             name = Path(Ar.SplitPackageRelativePathInner(image)[1] or image).name
             copy = self._written / COPIES / f"{len(self._copies)}_{name}"
             if content is not None:

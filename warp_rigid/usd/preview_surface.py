@@ -33,7 +33,7 @@ class Texture(NamedTuple):
     translation: tuple[float, float] = (0.0, 0.0)
 
 
-def read_look(body: Usd.Prim, has_uv: bool) -> Look | None:
+def read_look(body: Usd.Prim, has_uv: bool, notes: list[str]) -> Look | None:
     """The look of the first geometry of a body; None if the file states nothing about it.
 
     The colour of an image is its mean, which is shown where the image is not. Of files written by this package, only
@@ -42,6 +42,7 @@ def read_look(body: Usd.Prim, has_uv: bool) -> Look | None:
     Args:
         body: prim of the body.
         has_uv: whether its shape has texture coordinates, without which the image is not kept.
+        notes: receives why an image is not shown, of which a warning tells, too.
     """
     written = "motion" in custom_data(body)
     for prim in Usd.PrimRange(body, Usd.TraverseInstanceProxies()):
@@ -51,7 +52,7 @@ def read_look(body: Usd.Prim, has_uv: bool) -> Look | None:
                 return None
             shader = material.ComputeSurfaceSource()[0] if material else None
             if shader and shader.GetIdAttr().Get() == PREVIEW:
-                return _of_shader(shader, prim, has_uv)
+                return _of_shader(shader, prim, has_uv, notes)
             color = _primvar(prim, "displayColor")
             return None if color is None else Look(color, roughness=1.0)
     return None
@@ -79,6 +80,16 @@ def _texture(source: UsdShade.Shader | None) -> Texture | None:
     return Texture(str(asset.resolvedPath), str(name or "st"), **transform)
 
 
+def _named_image(source: UsdShade.Shader | None) -> str | None:
+    """The path of the image of a UsdUVTexture, whether or not the file exists."""
+    entry = source.GetInput("file") if source else None
+    for attribute in entry.GetValueProducingAttributes() if entry else []:
+        asset, stack = attribute.Get(), attribute.GetPropertyStack()
+        if isinstance(asset, Sdf.AssetPath) and asset.path and stack:
+            return str(asset.resolvedPath or stack[0].layer.ComputeAbsolutePath(asset.path))
+    return None
+
+
 def _plain(value: Any) -> Any:
     """A number or a vector of USD as plain numbers."""
     return tuple(value) if isinstance(value, Gf.Vec2f) else float(value)
@@ -104,17 +115,17 @@ def _value(shader: UsdShade.Shader | None, name: str) -> Any:
     return found[0].Get() if found else None
 
 
-def _of_shader(shader: UsdShade.Shader, prim: Usd.Prim, has_uv: bool) -> Look:
+def _of_shader(shader: UsdShade.Shader, prim: Usd.Prim, has_uv: bool, notes: list[str]) -> Look:
     numbers = dict(NUMBERS)
     for name in NUMBERS:
         value = shader.GetInput(name).Get() if shader.GetInput(name) else None
         if isinstance(value, float) and np.isfinite(value):
             numbers[name] = float(np.clip(value, 0.0, 1.0))
     texture = _texture(_source(shader, "diffuseColor")) if has_uv else None
-    return Look(_color(shader, prim), **numbers, image=None if texture is None else texture.image)
+    return Look(_color(shader, prim, notes), **numbers, image=None if texture is None else texture.image)
 
 
-def _color(shader: UsdShade.Shader, prim: Usd.Prim) -> tuple[float, float, float] | None:
+def _color(shader: UsdShade.Shader, prim: Usd.Prim, notes: list[str]) -> tuple[float, float, float] | None:
     """Diffuse colour: a constant, a primvar of the geometry, or the mean of an image."""
     entry = shader.GetInput("diffuseColor")
     if not entry:
@@ -123,9 +134,11 @@ def _color(shader: UsdShade.Shader, prim: Usd.Prim) -> tuple[float, float, float
     if _kind(source).startswith("UsdPrimvarReader"):
         return _primvar(prim, str(_value(source, "varname")))
     if _kind(source) == "UsdUVTexture":
-        texture = _texture(source)
-        fallback = _value(source, "fallback")
-        return (texture and mean_color(texture.image)) or (_checked(fallback[:3]) if fallback is not None else None)
+        image, fallback = _named_image(source), _value(source, "fallback")
+        mean = image and mean_color(image)
+        if image and not mean:
+            notes.append(f"image {image} cannot be read; the plain colour is shown instead")
+        return mean or (_checked(fallback[:3]) if fallback is not None else None)
     return _checked(_value(shader, "diffuseColor"))
 
 

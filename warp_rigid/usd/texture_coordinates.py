@@ -3,7 +3,7 @@
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from warp_rigid.files.mesh_files import usd_corners
+from warp_rigid.files.usd_meshes import usd_coordinates, usd_corners
 from warp_rigid.usd.geometry import custom_data
 from warp_rigid.usd.preview_surface import Texture, texture_of
 
@@ -29,13 +29,11 @@ def read_uv(prim: Usd.Prim, corners: np.ndarray, triangles: np.ndarray, notes: l
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(ST if texture is None else texture.varname)
     if not primvar or not primvar.HasValue():
         return None
-    values = _numbers(primvar.ComputeFlattened(Usd.TimeCode.EarliestTime()))
-    places = _places(UsdGeom.Mesh(prim), str(primvar.GetInterpolation()), corners, triangles)
-    if values is None or places is None or places.max(initial=-1) >= len(values):
-        found = "no pairs of finite numbers" if values is None else f"{len(values)} values"
-        notes.append(f"{primvar.GetName()} is ignored: it has {found}, interpolated as {primvar.GetInterpolation()}")
+    try:
+        return _transformed(usd_coordinates(UsdGeom.Mesh(prim), primvar, corners, triangles), texture)
+    except ValueError as error:
+        notes.append(str(error))
         return None
-    return _transformed(values[places], texture)
 
 
 def uv_and_image(prim: Usd.Prim) -> tuple[np.ndarray | None, str | None]:
@@ -46,26 +44,6 @@ def uv_and_image(prim: Usd.Prim) -> tuple[np.ndarray | None, str | None]:
     _, corners, triangles = usd_corners(UsdGeom.Mesh(prim))
     uv = read_uv(prim, corners, triangles, [])
     return (None, None) if uv is None else (uv.astype(np.float32), texture.image)
-
-
-def _numbers(values) -> np.ndarray | None:
-    try:
-        found = np.array(values, np.float64)
-    except (TypeError, ValueError):
-        return None
-    return found if found.ndim == 2 and found.shape[1] == 2 and np.isfinite(found).all() else None
-
-
-def _places(mesh: UsdGeom.Mesh, interpolation: str, corners, triangles) -> np.ndarray | None:
-    """Index of the value of each corner (m, 3); None for an unknown interpolation."""
-    if interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
-        return corners[triangles]
-    if interpolation == UsdGeom.Tokens.faceVarying:
-        return triangles
-    if interpolation == UsdGeom.Tokens.uniform:
-        ends = np.cumsum(np.array(mesh.GetFaceVertexCountsAttr().Get(), np.int64))
-        return np.searchsorted(ends, triangles, side="right")
-    return np.zeros_like(triangles) if interpolation == UsdGeom.Tokens.constant else None
 
 
 def _transformed(uv: np.ndarray, texture: Texture | None) -> np.ndarray:

@@ -1,12 +1,58 @@
-"""Bodies on the page: all that share a mesh are one batch, which takes poses, colours and opacities as arrays."""
+"""Bodies on the page: all of one mesh and image are one batch, which takes poses, colours and opacities as arrays."""
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from warp_rigid.render.appearance import on_screen
 from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.viewer.page import add_ground, opacity_of_walls
+from warp_rigid.viewer.textured_mesh import textured_mesh
 
 FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
+
+
+@dataclass
+class DrawnBatch:
+    """Instances of one mesh with one image, or without.
+
+    Attributes:
+        chosen: which instances of the film these are.
+        moves: whether their poses change.
+        plain: draws them in their colours.
+        pictured: draws those with their image that have their own colour and are opaque; None without an image.
+    """
+
+    chosen: np.ndarray
+    moves: bool
+    plain: Any
+    pictured: Any = None
+
+    @property
+    def handles(self) -> list:
+        """What draws the instances."""
+        return [handle for handle in (self.plain, self.pictured) if handle is not None]
+
+    def picture(self, shown: np.ndarray) -> None:
+        """Draw some of the instances with their image, (instances of the batch,) bool."""
+        for handle, other, drawn in ((self.plain, self.pictured, ~shown), (self.pictured, self.plain, shown)):
+            if drawn.any():
+                if not handle.visible:
+                    self._place(handle, other.batched_positions, other.batched_wxyzs)
+                scales = None if drawn.all() else drawn.astype(np.float32)
+                if not np.array_equal(handle.batched_scales, scales):
+                    handle.batched_scales = scales
+            handle.visible = bool(drawn.any())
+
+    def pose(self, positions: np.ndarray, wxyzs: np.ndarray) -> None:
+        """Move the instances: (instances of the batch, 3) and (instances of the batch, 4). What is hidden stays."""
+        for handle in self.handles:
+            if handle.visible:
+                self._place(handle, positions, wxyzs)
+
+    @staticmethod
+    def _place(handle: Any, positions: np.ndarray, wxyzs: np.ndarray) -> None:
+        handle.batched_positions, handle.batched_wxyzs = positions, wxyzs
 
 
 class Instances:
@@ -14,27 +60,31 @@ class Instances:
 
     Args:
         server: the viser server.
-        film: whose meshes, colours and first poses are drawn.
+        film: whose meshes, images, colours and first poses are drawn.
         moving: (instances,) True where poses will change.
 
     Attributes:
-        handles: the batches, and which instances each of them holds.
+        handles: what draws them, and which instances each of these holds.
     """
 
     def __init__(self, server, film: Film, moving: np.ndarray):
-        """Send the meshes."""
+        """Send the meshes and the images."""
         self._server = server
-        self.handles = []
-        self._moving = []
-        colors = bytes_of_light(film.color_at(0))
+        self._batches = []
+        self._own = self._colors = bytes_of_light(film.color_at(0))
+        self._wire = False
         self._grounds = add_ground(server, film)
-        for index, mesh in enumerate(film.meshes):
-            for moves in (False, True):
-                chosen = np.flatnonzero((film.mesh == index) & (moving == moves) & ~film.level)
-                if len(chosen):
-                    self.handles.append((self._add(mesh, index, moves, chosen, film, colors), chosen))
-                    self._moving.append(moves)
-        self.fade(np.where(moving, 1.0, opacity_of_walls(film)))
+        shown = ~film.level
+        for index, moves, image in np.unique(np.stack([film.mesh, moving, film.image])[:, shown], axis=1).T.tolist():
+            chosen = (film.mesh == index) & (moving == moves) & (film.image == image) & shown
+            self._batches.append(self._add(index, bool(moves), image, np.flatnonzero(chosen), film))
+        self._opacity = np.where(moving, 1.0, opacity_of_walls(film))
+        self.fade(self._opacity)
+
+    @property
+    def handles(self) -> list[tuple[Any, np.ndarray]]:
+        """What draws the instances, and which of them."""
+        return [(handle, batch.chosen) for batch in self._batches for handle in batch.handles]
 
     def show(self, film: Film, frame: int) -> None:
         """Show a frame of the film, or of another one of the same instances."""
@@ -45,50 +95,65 @@ class Instances:
     def pose(self, position: np.ndarray, orientation: np.ndarray) -> None:
         """Move the moving instances: (instances, 3) and (instances, 4), quaternions (x, y, z, w)."""
         wxyz = orientation[:, [3, 0, 1, 2]]
-        for (handle, chosen), moves in zip(self.handles, self._moving, strict=True):
-            if moves:
-                handle.batched_positions = position[chosen]
-                handle.batched_wxyzs = wxyz[chosen]
+        for batch in self._batches:
+            if batch.moves:
+                batch.pose(position[batch.chosen], wxyz[batch.chosen])
 
     def color(self, colors: np.ndarray) -> None:
         """Colour all instances, (instances, 3) uint8; batches whose colours are unchanged are not sent."""
-        for handle, chosen in self.handles:
-            if not np.array_equal(handle.batched_colors, colors[chosen]):
-                handle.batched_colors = colors[chosen]
+        self._colors = colors
+        for batch in self._batches:
+            if not np.array_equal(batch.plain.batched_colors, colors[batch.chosen]):
+                batch.plain.batched_colors = colors[batch.chosen]
+        self._picture()
 
     def fade(self, opacity: np.ndarray) -> None:
         """Opacity of all instances, (instances,); batches that are opaque all through get none."""
-        for handle, chosen in self.handles:
-            wanted = opacity[chosen].astype(np.float32)
-            if (wanted == 1.0).all() and handle.batched_opacities is None:
+        self._opacity = opacity
+        for batch in self._batches:
+            wanted, before = opacity[batch.chosen].astype(np.float32), batch.plain.batched_opacities
+            if (wanted == 1.0).all() and before is None:
                 continue
-            if handle.batched_opacities is None or not np.array_equal(handle.batched_opacities, wanted):
-                handle.batched_opacities = wanted
+            if before is None or not np.array_equal(before, wanted):
+                batch.plain.batched_opacities = wanted
+        self._picture()
 
     def wire(self, on: bool) -> None:
         """Draw the edges of triangles instead of faces."""
-        for handle, _ in self.handles:
-            handle.wireframe = on
+        self._wire = on
+        for batch in self._batches:
+            batch.plain.wireframe = on
+        self._picture()
 
     def remove(self) -> None:
         """Remove all batches from the page."""
         for handle in (*self._grounds, *(handle for handle, _ in self.handles)):
             handle.remove()
-        self._grounds, self.handles = [], []
+        self._grounds, self._batches = [], []
 
-    def _add(self, mesh: DrawnMesh, index: int, moves: bool, chosen: np.ndarray, film: Film, colors: np.ndarray):
-        vertices, faces = creased(mesh)
-        return self._server.scene.add_batched_meshes_simple(
-            f"{MOVING_GROUP if moves else FIXED_GROUP}/mesh_{index}",
-            vertices,
-            faces,
-            batched_wxyzs=film.orientation[0][chosen][:, [3, 0, 1, 2]],
-            batched_positions=film.position[0][chosen],
-            batched_colors=colors[chosen],
-            lod="off",
-            side="double" if mesh.flat else "front",
-            cast_shadow=not mesh.flat,
+    def _picture(self) -> None:
+        """Show images on opaque bodies of their own colours: the page can neither fade nor colour an image."""
+        shown = (self._colors == self._own).all(axis=1) & (self._opacity == 1.0) & (not self._wire)
+        for batch in self._batches:
+            if batch.pictured is not None:
+                batch.picture(shown[batch.chosen])
+
+    def _add(self, index: int, moves: bool, image: int, chosen: np.ndarray, film: Film) -> DrawnBatch:
+        mesh, scene = film.meshes[index], self._server.scene
+        name = f"{MOVING_GROUP if moves else FIXED_GROUP}/mesh_{index}" + (f"_image_{image}" if image >= 0 else "")
+        common = {
+            "batched_wxyzs": film.orientation[0][chosen][:, [3, 0, 1, 2]],
+            "batched_positions": film.position[0][chosen],
+            "lod": "off",
+            "cast_shadow": not mesh.flat,
+        }
+        content = textured_mesh(mesh, film.images[image], self._own[chosen[0]]) if image >= 0 else None
+        plain = scene.add_batched_meshes_simple(
+            name, *creased(mesh), batched_colors=self._own[chosen], side="double" if mesh.flat else "front", **common
         )
+        if content is None:
+            return DrawnBatch(chosen, moves, plain)
+        return DrawnBatch(chosen, moves, plain, scene.add_batched_glb(f"{name}_shown", content, **common))
 
 
 def creased(mesh: DrawnMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -100,5 +165,5 @@ def creased(mesh: DrawnMesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bytes_of_light(color: np.ndarray) -> np.ndarray:
-    """Linear light as screen bytes, uint8 of the same shape."""
-    return np.round(255.0 * on_screen(color)).astype(np.uint8)
+    """Linear light as bytes, uint8 of the same shape: the page takes the colours of batches as light."""
+    return np.round(255.0 * np.clip(color, 0.0, 1.0)).astype(np.uint8)

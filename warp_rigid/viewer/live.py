@@ -541,7 +541,8 @@ class LiveViewer:
         if CONTACTS in self._overlays.shown:
             opacity[self._touching()] *= SEEN_THROUGH
         if self._options["sleepers"]:
-            opacity[self.session.sim.get("asleep")[self.rows].reshape(-1) & self._dynamic] *= 0.35
+            asleep = self.session.sim.get("asleep")[self.rows].reshape(-1)
+            opacity[asleep & self._dynamic & (self._film.image < 0)] *= 0.35
         if self._options["slice"]:
             opacity[(self.chosen[0] - self.rows[0]) * self.session.sim.num_bodies + self.chosen[1]] = 0.15
         return opacity

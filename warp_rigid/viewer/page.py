@@ -143,12 +143,12 @@ def add_ground(server: viser.ViserServer, film: Film) -> list:
 
 
 def opacity_of_walls(film: Film) -> np.ndarray:
-    """(instances,) less than 1 for fixed, thin, upright bodies, behind which others may lie."""
+    """(instances,) less than 1 for fixed, thin, upright bodies without an image, behind which others may lie."""
     sizes = np.stack([np.ptp(mesh.vertices, axis=0) for mesh in film.meshes])[film.mesh]
     thinnest = sizes.argmin(axis=1)
     thin = sizes.min(axis=1) < WALL_THICKNESS * np.median(sizes, axis=1)
     upright = np.abs(rotate(film.orientation[0], np.eye(3)[thinnest])[:, 2]) < 0.5
-    return np.where(thin & upright & ~film.flat & ~film.moving, 0.35, 1.0)
+    return np.where(thin & upright & ~film.flat & ~film.moving & (film.image < 0), 0.35, 1.0)
 
 
 def _below(film: Film, points: np.ndarray) -> np.ndarray:

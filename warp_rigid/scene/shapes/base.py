@@ -68,11 +68,13 @@ class Shape:
         classes: all subclasses by their name in saved scenes, which is the class name in lower case.
         parameters: the constructor's parameters, each a number or a vector kept in the attribute of that name.
         static_only: whether dynamic bodies cannot have this shape.
+        image: path of the image that its bodies show by default; None without.
     """
 
     classes: ClassVar[dict[str, type["Shape"]]] = {}
     parameters: ClassVar[tuple[str, ...]] = ()
     static_only = False
+    image: str | None = None
 
     def __init_subclass__(cls, **options):
         """Register a shape for saved scenes.

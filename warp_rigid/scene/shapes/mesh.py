@@ -13,6 +13,7 @@ from warp_rigid.checks import shown, whole_in
 from warp_rigid.files import mesh_files
 from warp_rigid.scene.shapes import distance_grid, inner_balls, mass_properties, topology
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
+from warp_rigid.scene.shapes.mesh_image import image_path
 from warp_rigid.scene.shapes.mesh_repair import Surface, checked, checked_uv, repair
 from warp_rigid.scene.shapes.sampling import SampleList, sample_mesh
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree, triangle_tree
@@ -43,6 +44,7 @@ class Mesh(Shape):
         sdf_resolution: grid cells along the longest side.
         watertight: whether the given mesh has no holes.
         uv: (m, 3, 2) float32, texture coordinates of the corners of `faces`; None without.
+        image: path of the image that its file has for it; None without. Not part of comparisons and saved shapes.
         repairs: descriptions of the repairs, empty if none was needed.
     """
 
@@ -106,9 +108,13 @@ class Mesh(Shape):
     def from_file(cls, path: str | PathLike[str], scale: float = 1.0, sdf_resolution: int = 64) -> "Mesh":
         """Read a mesh file.
 
-        Vertices that a file format repeats for each face (STL) or texture seam (OBJ) are merged
+        Vertices that a file format repeats for each face (STL) or texture seam (glTF) are merged
         without a warning; other repairs warn. So does a mesh of 10 m or more from a file that does not state its
         unit and is not scaled.
+
+        Texture coordinates are kept; corners without any have (0, 0). The image of the first material that has one
+        (OBJ, PLY, glTF) becomes `image`, which bodies show that `Scene.add_body` makes of the mesh. Images inside
+        of a file are copied to the cache folder. `import_usd` reads the materials of USD files.
 
         Args:
             path: OBJ, STL, PLY, GLB, GLTF or OFF, or USD (.usd, .usda, .usdc, .usdz; all its meshes
@@ -121,10 +127,11 @@ class Mesh(Shape):
             ValueError: The file cannot be read or holds no usable mesh; the message names it.
             FileNotFoundError: The file does not exist; the message names it.
         """
-        vertices, faces = mesh_files.load(path, scale)
+        found = mesh_files.load(path, scale)
+        uv = None if found.uv is None else np.where(np.isfinite(found.uv), found.uv, 0.0)
         mesh = cls.__new__(cls)
         try:
-            mesh._setup(repair(vertices, faces), sdf_resolution)
+            mesh._setup(repair(found.vertices, found.faces, uv), sdf_resolution)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
         notable = [text for text in mesh.repairs if "duplicate" not in text]
@@ -132,11 +139,12 @@ class Mesh(Shape):
             warnings.warn(f"{path}: mesh repaired: {'; '.join(notable)}", stacklevel=2)
         if scale == 1.0 and not mesh_files.states_its_unit(path):
             mesh._doubt_unit(f"{path}: ", "scale=0.001")
+        mesh.image = image_path(path, found.image)
         return mesh
 
     @classmethod
     def from_trimesh(cls, mesh: Any, sdf_resolution: int = 64) -> "Mesh":
-        """Make a mesh from the vertices and faces of a `trimesh.Trimesh`, with its texture coordinates if it has any.
+        """Make a mesh from a `trimesh.Trimesh`, with its texture coordinates and image if it has any.
 
         Args:
             mesh: any object with `vertices` (n, 3) [m] and `faces` (m, 3).
@@ -147,7 +155,9 @@ class Mesh(Shape):
         """
         if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
             raise ValueError(f"mesh: must have vertices and faces, as a trimesh.Trimesh, got {shown(mesh)}")
-        made = cls(mesh.vertices, mesh.faces, sdf_resolution, uv=getattr(getattr(mesh, "visual", None), "uv", None))
+        visual = getattr(mesh, "visual", None)
+        made = cls(mesh.vertices, mesh.faces, sdf_resolution, uv=getattr(visual, "uv", None))
+        made.image = None if made.uv is None else image_path("mesh", mesh_files.image_of(visual))
         if getattr(mesh, "units", None) is None:
             made._doubt_unit("mesh: ", "mesh.apply_scale(0.001)")
         return made
