@@ -170,7 +170,11 @@ def inside_any(parts, points) -> np.ndarray:
         offset = np.einsum("fi,fi->f", part.face_normals, part.triangles[:, 0])
         planes = np.round(np.column_stack([part.face_normals, offset]), 9)
         first = np.unique(planes, axis=0, return_index=True)[1]
-        found |= (points @ part.face_normals[first].T < offset[first]).all(axis=1)
+        rows = np.arange(len(points))
+        # A few faces at a time: a ball has a thousand, and most points are soon found to be outside.
+        for faces in np.array_split(first, -(-len(first) // 16)):
+            rows = rows[(points[rows] @ part.face_normals[faces].T < offset[faces]).all(axis=1)]
+        found[rows] = True
     return found
 
 
