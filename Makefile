@@ -22,6 +22,8 @@ PYTEST := $(BIN)/python -m pytest -q
 # Besides the version of PYTHON; the tests are those of files that use most of the standard library and the dependencies.
 OTHER_PYTHONS := 3.12 3.13
 PART := public_names packaging simulator determinism cli sweep_files usd_export viewer_parts
+# Only the files with tests that measure time are read to run these.
+QUIET = $$(grep -rl 'mark\.quiet' tests --include='test_*.py')
 # One worker a core; the tests of a file stay together, for they share what is costly to make. The longest files first.
 WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
@@ -38,12 +40,12 @@ demo: $(READY)
 # about 90 s of one core; Warp's cache keeps the result. Tests that measure time run last, alone.
 test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
-	$(PYTEST) -m "quiet and not long" && exit $$others
+	$(PYTEST) -m "quiet and not long" $(QUIET) && exit $$others
 
 # The long tests too, with the coverage of the host code.
 test-all: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-report=; others=$$?; \
-	$(PYTEST) -m quiet --cov --cov-append --cov-fail-under=90 && exit $$others
+	$(PYTEST) -m quiet --cov --cov-append --cov-fail-under=90 $(QUIET) && exit $$others
 
 # A part of the tests with each other supported version of Python that is installed, in environments of their own.
 other-pythons:
