@@ -214,18 +214,16 @@ class Reader:
             roots = ", ".join(str(Sdf.Path(path).GetParentPath()) for path in found)
             raise ValueError(f"{self.path}: has several gravities; set root to one of {roots}")
         custom = custom_data(self.stage.GetPrimAtPath(next(iter(found)))) if found else {}
+        # MuJoCo takes the larger friction of two bodies.
+        of_mujoco = any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in described(objects, COLLIDERS))
         scene = Scene(
             gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
-            friction_combine=custom.get("frictionCombine", "max" if self._is_of_mujoco(objects) else "min"),
+            friction_combine=custom.get("frictionCombine", "max" if of_mujoco else "min"),
             restitution_combine=custom.get("restitutionCombine", "min"),
         )
         for force_field in fields_from_data(custom):
             scene.add_force_field(force_field)
         return scene
-
-    def _is_of_mujoco(self, objects: dict) -> bool:
-        """Whether colliders come from a file of MuJoCo, which takes the larger friction of two bodies."""
-        return any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in described(objects, COLLIDERS))
 
     def _bodies(self, objects: dict) -> list[_Body]:
         """Bodies in file order, each with its enabled colliders."""
