@@ -107,11 +107,16 @@ def solver_stats(world: World) -> dict[str, np.ndarray]:
     pairs, contacts = counts_of_environments(world)
     found = {"pairs": pairs, "contacts": contacts, **_island_counts(world)}
     for name in ("sweeps", "rounds", "shock_sweeps", "push_out_sweeps", "push_out_rounds", "residual"):
-        found[name] = world.shards.gather(lambda shard, name=name: getattr(shard.pools.graph, name).numpy())
+        found[name] = world.shards.gather(partial(_graph_column, name=name))
     for name in ("pairs", "contacts"):
         used = world.shards.gather(partial(_capacity_used, name=name))
         found[f"{name.removesuffix('s')}_capacity_used"] = used
     return found
+
+
+def _graph_column(shard: Shard, name: str) -> np.ndarray:
+    """An array of the contact graph of a shard."""
+    return getattr(shard.pools.graph, name).numpy()
 
 
 def _capacity_used(shard: Shard, name: str) -> np.ndarray:
