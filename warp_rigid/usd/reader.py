@@ -317,28 +317,28 @@ class Reader:
 
     def _add_group(self, scene: Scene, body: _Body, group: list[Collider], frame, motion: PosePath | None) -> None:
         position, rotation, stretch = frame
-        shape, where, turn = _joined(group, body.motion)
+        shape, place_in_body, orientation = _joined(group, body.motion)
         common: dict[str, Any] = {
-            "position": position + rotation @ where,
-            "orientation": quaternion_of_matrix(rotation @ rotations.matrix(turn)),
+            "position": position + rotation @ place_in_body,
+            "orientation": quaternion_of_matrix(rotation @ rotations.matrix(orientation)),
             "name": body.prim.GetDisplayName() or body.prim.GetName(),
             **self._coefficients(body, group),
         }
         try:
             if body.motion != Motion.DYNAMIC:
                 surface = read_surface_motion(body.prim, rotation, stretch, self._to_z_up, self.meter)
-                common |= surface.in_frame(where, rotations.matrix(turn)).keywords
+                common |= surface.in_frame(place_in_body, rotations.matrix(orientation)).keywords
             if body.motion == Motion.STATIC:
                 index = scene.add_static(shape, **common)
             elif motion is not None:
                 del common["position"], common["orientation"]
                 index = scene.add_kinematic(shape, **common, path=motion)
             elif body.motion == Motion.KINEMATIC:
-                center = where + rotations.rotate(turn, shape.center_of_mass)
+                center = place_in_body + rotations.rotate(orientation, shape.center_of_mass)
                 index = scene.add_kinematic(shape, **common, **self._velocities(body.prim, rotation, center))
             else:
                 shape, mass = self._masses.of_colliders(body.prim, group, shape, stretch)
-                center = where + rotations.rotate(turn, shape.center_of_mass)
+                center = place_in_body + rotations.rotate(orientation, shape.center_of_mass)
                 velocities = self._velocities(body.prim, rotation, center)
                 index = scene.add_body(shape, mass=mass, **common, **velocities)
         except ValueError as error:

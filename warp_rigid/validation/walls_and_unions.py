@@ -102,9 +102,9 @@ def plates():
     """A plate thrown onto a held one, flat and tilted."""
     speeds = (0.5, 2.0, 10.0)
     tilts = np.array([[0, 0, 0], [0.01, 0, 0], [0.02, 0.01, 0.3], [0.05, -0.05, 0.8]])
-    turns = np.column_stack([tilts, np.ones(4)])
-    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-    cells = [(speed, turn) for speed in speeds for turn in turns]
+    orientations = np.column_stack([tilts, np.ones(4)])
+    orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
+    cells = [(speed, orientation) for speed in speeds for orientation in orientations]
 
     def scene():
         plate = Mesh.from_trimesh(trimesh.creation.box((SIZE, SIZE, PLATE)))
@@ -117,9 +117,9 @@ def plates():
     experiment = Experiment(
         scene,
         0.5,
-        tuple(f"{speed:g} m/s, tilt {k}" for speed in speeds for k in range(len(turns))),
+        tuple(f"{speed:g} m/s, tilt {k}" for speed in speeds for k in range(len(orientations))),
         (
-            Start("orientation", np.array([turn for _, turn in cells])[:, None], bodies=[1]),
+            Start("orientation", np.array([orientation for _, orientation in cells])[:, None], bodies=[1]),
             Start("linear_velocity", velocity, bodies=[1]),
         ),
         watch_overlap=True,
