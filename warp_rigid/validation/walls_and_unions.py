@@ -27,7 +27,7 @@ STRATA = 80
 def cases(quick: bool) -> Cases:
     """All cases of the section; one vessel and one body if quick."""
     if quick:
-        return [vessels(("tray",), (200,), ("box",)), plates(), unions(("ball and box",))]
+        return [vessels(("tray",), (200,), ("box",)), plates(), unions(("ball and box",), STRATA // 2)]
     return [vessels(("tray", "cup"), (200, 100, 50), ("ball", "box", "bunny")), plates(), unions(tuple(PARTS))]
 
 
@@ -178,7 +178,7 @@ def inside_any(parts, points) -> np.ndarray:
     return found
 
 
-def unions(names):
+def unions(names, strata=STRATA):
     """Mass properties and sign of a mesh of shells that overlap, against points inside any of them."""
 
     def compare(parts):
@@ -187,8 +187,8 @@ def unions(names):
             mesh = Mesh.from_trimesh(trimesh.util.concatenate(parts))
         lower, upper = mesh.bounds
         draw = np.random.default_rng(7)
-        cell = np.stack(np.meshgrid(*3 * [np.arange(STRATA)], indexing="ij"), axis=-1).reshape(-1, 3)
-        points = lower + (upper - lower) * (cell + draw.random(cell.shape)) / STRATA
+        cell = np.stack(np.meshgrid(*3 * [np.arange(strata)], indexing="ij"), axis=-1).reshape(-1, 3)
+        points = lower + (upper - lower) * (cell + draw.random(cell.shape)) / strata
         inside = inside_any(parts, points)
         volume = np.prod(upper - lower) * inside.mean()
         arm = points[inside] - points[inside].mean(axis=0)
