@@ -9,15 +9,21 @@ ROBOTS_READY := $(VENV)/.robots-ready
 FRAMEWORKS_READY := $(VENV)/.frameworks-ready
 OUT := out
 # A lock is installed as it is: it holds every need, so that nothing is looked up, and a later version changes nothing.
+# uv takes a tenth of the time of pip. It knows neither the settings nor the indexes of pip, which follows where uv fails.
 PIP := -m pip
 INSTALL := $(PIP) install --quiet --disable-pip-version-check --no-deps
-INSTALL_LOCK := $(INSTALL) --require-hashes --only-binary :all: -r
+LOCKED := --require-hashes --only-binary :all: -r
+UV := $(BIN)/uv pip install --quiet --no-deps
+# The environment, the lock.
+install_lock = $(UV) --python $(1)/bin/python $(LOCKED) $(2) || $(1)/bin/python $(INSTALL) $(LOCKED) $(2)
 COMPILE := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --only-binary :all: \
 	--generate-hashes --no-annotate --no-strip-extras --custom-compile-command "make locks" $(UPGRADE)
 PYTEST := $(BIN)/python -m pytest -q
 # Besides the version of PYTHON; the tests are those of files that use most of the standard library and the dependencies.
 OTHER_PYTHONS := 3.12 3.13
 PART := public_names packaging simulator determinism cli sweep_files usd_export viewer_parts
+# Only the files with tests that measure time are read to run these.
+QUIET = $$(grep -rl 'mark\.quiet' tests --include='test_*.py')
 # One worker a core; the tests of a file stay together, for they share what is costly to make. The longest files first.
 WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
@@ -34,12 +40,12 @@ demo: $(READY)
 # about 90 s of one core; Warp's cache keeps the result. Tests that measure time run last, alone.
 test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
-	$(PYTEST) -m "quiet and not long" && exit $$others
+	$(PYTEST) -m "quiet and not long" $(QUIET) && exit $$others
 
 # The long tests too, with the coverage of the host code.
 test-all: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-report=; others=$$?; \
-	$(PYTEST) -m quiet --cov --cov-append --cov-fail-under=90 && exit $$others
+	$(PYTEST) -m quiet --cov --cov-append --cov-fail-under=90 $(QUIET) && exit $$others
 
 # A part of the tests with each other supported version of Python that is installed, in environments of their own.
 other-pythons:
@@ -117,7 +123,9 @@ clean:
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "python3 must be 3.11 or newer")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python $(INSTALL_LOCK) requirements.lock
+	awk '/^[^ ]/ { is_uv = /^uv==/ } is_uv' requirements.lock > $(VENV)/uv.lock
+	$(BIN)/python $(INSTALL) $(LOCKED) $(VENV)/uv.lock
+	$(call install_lock,$(VENV),requirements.lock)
 	$(BIN)/python $(INSTALL) --no-build-isolation --editable .
 	@touch $@
 
@@ -126,11 +134,11 @@ $(READY): requirements.lock pyproject.toml
 $(ROBOTS_READY): $(READY) tests/robots.lock
 	@if $(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; then \
 		$(PYTHON) -m venv --clear $(ROBOTS) && \
-		$(ROBOTS)/bin/python $(INSTALL_LOCK) tests/robots.lock && \
+		{ $(call install_lock,$(ROBOTS),tests/robots.lock); } && \
 		ln -sf ../robots/bin/mujoco_usd_converter ../robots/bin/urdf_usd_converter $(BIN)/; \
 	else echo "no converters of robots' files for this Python: their tests are skipped"; fi
 	@touch $@
 
 $(FRAMEWORKS_READY): $(READY) tests/frameworks.lock
-	$(BIN)/python $(INSTALL_LOCK) tests/frameworks.lock
+	$(call install_lock,$(VENV),tests/frameworks.lock)
 	@touch $@

@@ -68,7 +68,7 @@ def bird(droop: float) -> Compound:
         parts.append((Sphere(WEIGHT), tuple(end), (0, 0, 0, 1)))
     # Shifted along x so that the centre of mass is under the tip.
     ahead = Compound(parts).center_of_mass[0]
-    shifted = [(shape, (x - ahead, y, z), turn) for shape, (x, y, z), turn in parts]
+    shifted = [(shape, (x - ahead, y, z), orientation) for shape, (x, y, z), orientation in parts]
     return Compound([(Sphere(TIP), (0.0, 0.0, 0.0), (0, 0, 0, 1)), _beak(shifted[1][1]), *shifted])
 
 

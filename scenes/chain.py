@@ -25,11 +25,11 @@ def build(links: int = 100, ratio: float = 1000.0, speed: float = 1.0) -> Scene:
     scene = Scene(camera=Camera.orbit(-75.0, -10.0, look_at=(0, 0, 0.5 - LENGTH * links), distance=3.6))
     above = None
     for k in range(links):
-        share = (k + 0.5) / links
+        fraction = (k + 0.5) / links
         body = scene.add_body(
             Capsule(0.015, 0.03),
             position=(0, 0, -LENGTH * (k + 0.5)),
-            linear_velocity=(share * speed, 0, 0),
+            linear_velocity=(fraction * speed, 0, 0),
             angular_velocity=(0, -speed / (LENGTH * links), 0),
             mass=LINK_MASS,
             name=f"link_{k}",

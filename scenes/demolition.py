@@ -39,14 +39,14 @@ def build(rows: int = 25, columns: int = 20, angle: float = 60.0) -> Scene:
             scene.add_body(Box(BRICK), position=place, friction=0.6, name=f"brick_{row}_{column}")
     pivot = np.array([0.0, 0.0, LINKS * LINK + RADIUS + 0.05 + 0.8 * 2.0 * BRICK[2] * rows])
     along = np.array([-np.sin(lean), 0.0, -np.cos(lean)])
-    turn = (0.0, np.sin(lean / 2), 0.0, np.cos(lean / 2))
+    orientation = (0.0, np.sin(lean / 2), 0.0, np.cos(lean / 2))
     above: int | None = None
     links = []
     for k in range(LINKS):
         link = scene.add_body(
             Capsule(0.04, 0.5 * LINK - 0.05),
             position=pivot + (k + 0.5) * LINK * along,
-            orientation=turn,
+            orientation=orientation,
             mass=LINK_MASS,
             name=f"link_{k}",
         )

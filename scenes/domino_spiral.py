@@ -46,10 +46,10 @@ def build(dominoes: int = 60, spacing: float = 0.12, lean: float = 8.0) -> Scene
     upright = np.stack([flat, flat, np.sin(half_turn), np.cos(half_turn)], axis=1)
     position = np.concatenate([place, np.full((dominoes, 1), HALF[2])], axis=1)
     # The first domino stands on its front edge.
-    turned = np.array([0.0, math.sin(0.5 * lean), 0.0, math.cos(0.5 * lean)])
-    position[0] += rotate(upright[0], rotate(turned, np.array([-HALF[0], 0.0, HALF[2]])) + [HALF[0], 0.0, -HALF[2]])
+    tilt = np.array([0.0, math.sin(0.5 * lean), 0.0, math.cos(0.5 * lean)])
+    position[0] += rotate(upright[0], rotate(tilt, np.array([-HALF[0], 0.0, HALF[2]])) + [HALF[0], 0.0, -HALF[2]])
     c, s = upright[0, 3], upright[0, 2]
-    upright[0] = (-s * turned[1], c * turned[1], s * turned[3], c * turned[3])
+    upright[0] = (-s * tilt[1], c * tilt[1], s * tilt[3], c * tilt[3])
     scene = grounds.level_scene(friction=0.6, name="ground")
     scene.camera = Camera.orbit(-60.0, 38.0)
     add_bodies(scene, Box(HALF), position, upright, names="domino", mass=MASS, friction=0.6, restitution=0.1)
@@ -66,10 +66,10 @@ def spiral(count: int, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
     angle = np.linspace(0.0, 2.0 * math.pi * 40, 40_000)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(INNER_RADIUS + growth * angle, growth)[:-1] * np.diff(angle))])
     distance = spacing * np.arange(count)
-    turn = np.interp(distance, along, angle)
-    radius = INNER_RADIUS + growth * turn
-    place = radius[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return place, turn + np.arctan2(radius, growth), distance
+    polar_angle = np.interp(distance, along, angle)
+    radius = INNER_RADIUS + growth * polar_angle
+    place = radius[:, None] * np.stack([np.cos(polar_angle), np.sin(polar_angle)], axis=1)
+    return place, polar_angle + np.arctan2(radius, growth), distance
 
 
 class DominoOutcome(OverlapOutcome):

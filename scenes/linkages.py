@@ -57,9 +57,9 @@ def build(speed: float = 2.0) -> Scene:
 def _bar(scene, name, p, q, layer):
     """A bar between two points of the plane, in one of the layers."""
     length, angle = np.linalg.norm(q - p), math.atan2(*(q - p)[::-1])
-    turn = (0, 0, math.sin(angle / 2), math.cos(angle / 2))
+    orientation = (0, 0, math.sin(angle / 2), math.cos(angle / 2))
     return scene.add_body(
-        Box((0.5 * length, 0.02, 0.02)), position=(*(p + q) / 2, layer * LAYER), orientation=turn, name=name
+        Box((0.5 * length, 0.02, 0.02)), position=(*(p + q) / 2, layer * LAYER), orientation=orientation, name=name
     )
 
 
@@ -82,9 +82,9 @@ class LinkageOutcome:
     def observe(self, sim):
         """Record the largest distances."""
         place = sim.get("position").astype(np.float64)
-        turn = sim.get("orientation").astype(np.float64)
+        orientation = sim.get("orientation").astype(np.float64)
         tips = {
-            name: CRANK * rotate(turn[:, self.bodies[name]], np.array([1.0, 0, 0]))[:, :2]
+            name: CRANK * rotate(orientation[:, self.bodies[name]], np.array([1.0, 0, 0]))[:, :2]
             for name in ("crank", "second")
         }
         b = tips["crank"]

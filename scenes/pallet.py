@@ -51,8 +51,8 @@ class PalletOutcome(OverlapOutcome):
         """Record the overlap and the largest displacement."""
         super().observe(sim)
         place = sim.get("position")[:, self.bodies].astype(np.float64)
-        turn = inverse(sim.get("orientation")[:, self.bodies[0]].astype(np.float64))
-        moved = rotate(turn[:, None], place - place[:, :1]) - self.start
+        to_frame = inverse(sim.get("orientation")[:, self.bodies[0]].astype(np.float64))
+        moved = rotate(to_frame[:, None], place - place[:, :1]) - self.start
         now = np.linalg.norm(moved, axis=-1).max(axis=1)
         self.drift = now if self.drift is None else np.maximum(self.drift, now)
 

@@ -67,8 +67,8 @@ def _shell(count, radius, rng):
     angle = np.pi * (3.0 - 5.0**0.5) * k
     flat = np.sqrt(1.0 - z * z)
     points = radius * np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
-    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return points @ turn
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return points @ rotation
 
 
 class PlanetOutcome(OverlapOutcome):

@@ -4,8 +4,6 @@ import ast
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "warp_rigid"
 
@@ -140,29 +138,3 @@ def test_the_whole_package_is_read():
         graph()
     )
     assert "warp_rigid.kernels.collide.narrowphase" in graph()["warp_rigid.engine.step"]
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        "import warp_rigid.b",
-        "from warp_rigid import b",
-        "from warp_rigid.b import name",
-        "def f():\n    from warp_rigid.b import name",
-        "if TYPE_CHECKING:\n    from warp_rigid.b import name",
-    ],
-)
-def test_every_kind_of_import_is_seen(source):
-    assert imports_of("warp_rigid.a", source, {"warp_rigid", "warp_rigid.a", "warp_rigid.b"}) == {"warp_rigid.b"}
-
-
-def test_cycles_are_found():
-    edges = {"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a", "e"}, "e": set(), "f": {"f"}}
-    assert cycles(edges) == [{"a", "b", "c"}, {"f"}]
-
-
-def test_layers_are_kept_apart():
-    assert may_import("warp_rigid.engine.step", "warp_rigid.kernels.schema")
-    assert may_import("warp_rigid.sweep.execution", "warp_rigid.sweep.table")
-    assert not may_import("warp_rigid.kernels.schema", "warp_rigid.engine.step")
-    assert not may_import("warp_rigid.sweep.execution", "warp_rigid.bench.measure")

@@ -46,7 +46,9 @@ def kernels(tmp_path_factory):
     return cache, printed
 
 
-@pytest.mark.parametrize(("suffix", "damage"), [(".o", "bit"), (".meta", "garbage")])
+@pytest.mark.parametrize(
+    ("suffix", "damage"), [(".o", "bit"), pytest.param(".meta", "garbage", marks=pytest.mark.long)]
+)
 def test_a_damaged_kernel_is_compiled_again(kernels, suffix, damage):
     cache, expected = kernels
     (file,) = (file for file in cache.rglob(f"*{suffix}") if "capacity" in file.name)

@@ -49,7 +49,9 @@ def interrupted(process):
 
 
 @pytest.mark.quiet
-@pytest.mark.parametrize("after", [0.4, 0.8, 1.6, 2.3, 3.1, 5.0])
+@pytest.mark.parametrize(
+    "after", [0.4, 1.6, 3.1, *(pytest.param(after, marks=pytest.mark.long) for after in (0.8, 2.3, 5.0))]
+)
 def test_validate_ends_with_one_line(after):
     """While the package is imported, kernels are loaded, and cases run."""
     process = started(VALIDATE)

@@ -55,11 +55,11 @@ def test_a_sweep_leaves_no_arrays(device, monkeypatch):
     """Neither do batches that did not fit into memory; they are freed before their halves are built."""
     at_start = []
 
-    def run_small(job, prepared, start, on_part):
+    def run_small(job, prepared, start, on_done):
         at_start.append(live_arrays())
         if len(prepared.runs) > 2:
             raise MemoryError("more than two runs")
-        return run_batch_in(job, prepared, start, on_part)
+        return run_batch_in(job, prepared, start, on_done)
 
     run_batch_in = batch_run._run
     monkeypatch.setattr(batch_run, "_run", run_small)

@@ -1,5 +1,7 @@
 """The scenes on the simulator: every variant shows what it must show."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -23,9 +25,10 @@ SMALL = {
 """What makes the larger scenes quick enough here."""
 
 
-def run(name, device, **options):
+@cache
+def run(name, device, *assignments, frames=None):
     """Run all of a demo's variants side by side."""
-    return execute(plan_run(scenes.get(name), compare=True, device=device, **options))
+    return execute(plan_run(scenes.get(name), compare=True, device=device, assignments=assignments, frames=frames))
 
 
 def surprises(result):
@@ -44,7 +47,7 @@ MARKS = {"nut_and_bolt": pytest.mark.long}
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, ())) for name in scenes.names()])
 def test_every_variant_shows_what_it_must(name, device):
-    result = run(name, device, assignments=SMALL.get(name, ()))
+    result = run(name, device, *SMALL.get(name, ()))
     assert set(result.status["status"]) == {"ok"}
     assert any(expected for verdict in result.verdicts for expected in verdict.expected.values())
     assert surprises(result) == []
@@ -73,16 +76,16 @@ def long(*values):
     ],
 )
 def test_parameters_change_the_outcome_as_they_should(name, assignment, device):
-    assert surprises(run(name, device, assignments=[assignment])) == []
+    assert surprises(run(name, device, assignment)) == []
 
 
 def test_a_row_of_fallen_dominoes_holds_with_shock_propagation(device):
-    result = run("domino_spiral", device, assignments=["dominoes=30"], frames=180)
+    result = run("domino_spiral", device, *SMALL["domino_spiral"])
     (deepest,) = (v for v in result.summary["verdicts"] if v["name"] == "deepest")
     assert deepest["values"][result.summary["labels"].index("two_pass")] < 0.005
 
 
 def test_runs_repeat_bit_for_bit(device):
-    first, second = (run("plank_launch", device, frames=60) for _ in range(2))
+    first, second = (run.__wrapped__("plank_launch", device, frames=60) for _ in range(2))
     for a, b in zip(first.verdicts, second.verdicts, strict=True):
         np.testing.assert_array_equal(a.values, b.values)

@@ -72,6 +72,7 @@ def test_a_warm_start_is_quick(device):
     assert cost["modules"] == len(STEP)
 
 
+@pytest.mark.long
 @pytest.mark.quiet
 def test_a_cold_start_keeps_its_budget(tmp_path):
     environment = {**os.environ, KERNELS: str(tmp_path)}

@@ -17,7 +17,7 @@ from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 wp.set_module_options({"enable_backward": False})
 
 BOXES = 150
-STEPS = 150
+STEPS = 100
 
 
 @pytest.fixture

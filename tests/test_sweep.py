@@ -201,10 +201,10 @@ def test_a_metric_that_fails_gives_rows_with_the_reason():
 def test_a_batch_that_does_not_fit_is_halved(monkeypatch):
     inner = batch_module._run
 
-    def small_memory(job, prepared, start, on_part):
+    def small_memory(job, prepared, start, on_done):
         if len(prepared.runs) > 2:
             raise RuntimeError("Failed to allocate 123 bytes on device")
-        return inner(job, prepared, start, on_part)
+        return inner(job, prepared, start, on_done)
 
     axes = {"height": [1.0, 2.0, 3.0, 4.0, 5.0]}
     expected = values(quick(axes))

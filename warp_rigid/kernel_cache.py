@@ -37,7 +37,8 @@ def load_module(device: Any, name: str, block: int) -> None:
     """
     module = wp.get_module(name)
     folder = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block)
-    if not any(_loaded_by(device, folder)) and _announcement.acquire(blocking=False):
+    code = (".cubin", ".ptx") if device.is_cuda else (".o",)
+    if not any(_compiled(folder, code)) and _announcement.acquire(blocking=False):
         log.info("compiling kernels for %s, once on this machine: half a minute on a CPU, a minute on a GPU", device)
     damaged = [file for file in _compiled(folder) if _checksum_of(file) not in (None, _digest(file))]
     if damaged:
@@ -59,11 +60,6 @@ def _compiled(folder: Path, suffixes: tuple[str, ...] = (".o", ".cubin", ".ptx",
     """Files that Warp loads from the folder of a module."""
     for suffix in suffixes:
         yield from folder.glob(f"[!.]*{suffix}")
-
-
-def _loaded_by(device: Any, folder: Path) -> Iterator[Path]:
-    """The machine code for one kind of device in the folder of a module."""
-    return _compiled(folder, (".cubin", ".ptx") if device.is_cuda else (".o",))
 
 
 def _digest(file: Path) -> str:

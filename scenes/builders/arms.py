@@ -17,14 +17,9 @@ STIFFNESS, DAMPING, MAX_TORQUE = 20.0, 1.0, 50.0
 """Drive of each hinge [N m/rad, N m s/rad, N m]."""
 
 
-def top_of(links: int) -> float:
-    """Height of the hinge from which an arm hangs [m]."""
-    return CLEARANCE + PITCH * links
-
-
 def add_arm(scene: Scene, links: int, density: float, friction: float) -> None:
     """Add an arm that hangs straight down from a hinge above the origin."""
-    above, top = None, top_of(links)
+    above, top = None, CLEARANCE + PITCH * links
     for k in range(links):
         center = (0.0, 0.0, top - PITCH * (k + 0.5))
         link = scene.add_body(LINK, position=center, density=density, friction=friction, name=f"link_{k}")

@@ -25,7 +25,7 @@ def pelvis() -> tuple[np.ndarray, np.ndarray]:
     """A ring, thin in front and thick behind, whose sides widen into two wings."""
     around, along = PELVIS_SECTIONS
     angle = 2.0 * np.pi * np.arange(around) / around
-    turn = 2.0 * np.pi * np.arange(along) / along
+    section_angle = 2.0 * np.pi * np.arange(along) / along
     # The angle 0 is in front, where the two halves meet; the wings are slightly behind the sides.
     side = np.exp(-(((np.abs(_wrapped(angle)) - 1.9) / 0.55) ** 2))
     back = np.exp(-((_wrapped(angle - np.pi) / 0.5) ** 2))
@@ -36,8 +36,8 @@ def pelvis() -> tuple[np.ndarray, np.ndarray]:
     lean = 0.65 * side
     upward = np.sin(lean)[:, None] * outward + np.cos(lean)[:, None] * [0.0, 0.0, 1.0]
     across = np.cos(lean)[:, None] * outward - np.sin(lean)[:, None] * [0.0, 0.0, 1.0]
-    offset = np.einsum("i,j,ix->ijx", thick, np.cos(turn), across)
-    offset += np.einsum("i,j,ix->ijx", high, np.sin(turn), upward)
+    offset = np.einsum("i,j,ix->ijx", thick, np.cos(section_angle), across)
+    offset += np.einsum("i,j,ix->ijx", high, np.sin(section_angle), upward)
     vertices = (middle[:, None] + offset).reshape(-1, 3)
     return vertices, _ring_of_rings(around, along)
 
@@ -103,9 +103,9 @@ def _capped_tube(along: int, around: int) -> np.ndarray:
     i, j = (index.reshape(-1) for index in np.indices((along - 1, around)))
     after = (j + 1) % around
     quads = np.stack([i * around + j, i * around + after, (i + 1) * around + after, (i + 1) * around + j], axis=1)
-    turn = np.arange(around)
-    after = (turn + 1) % around
+    corner = np.arange(around)
+    after = (corner + 1) % around
     first, top = along * around, (along - 1) * around
-    fans = [np.stack([np.full(around, first), after, turn], axis=1)]
-    fans.append(np.stack([np.full(around, first + 1), top + turn, top + after], axis=1))
+    fans = [np.stack([np.full(around, first), after, corner], axis=1)]
+    fans.append(np.stack([np.full(around, first + 1), top + corner, top + after], axis=1))
     return np.concatenate([tessellation.triangulate_quads(quads), *fans]).astype(np.int32)

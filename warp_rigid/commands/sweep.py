@@ -83,7 +83,7 @@ class SweepOptions:
             "axes": axes,
             "fixed": _fixed(self.assignments or ()),
             "metrics": measured,
-            "batch": _batch(self.batch),
+            "batch": int(self.batch) if self.batch.isdigit() else self.batch,
             "observe": split_names(self.observe),
             "series": split_names(self.series),
             "shard": _shard(self.shard),
@@ -182,10 +182,6 @@ def _fixed(texts: Any) -> dict[str, Any]:
         if len(values) > 1:
             raise ValueError(f"--set {name}: takes one value; use --vary for several")
     return {name: values[0] for name, values in given.items()}
-
-
-def _batch(text: str) -> int | str:
-    return int(text) if text.isdigit() else text
 
 
 def split_names(text: str | None) -> list[str] | None:

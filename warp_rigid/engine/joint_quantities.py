@@ -124,15 +124,15 @@ class _Motion:
             return array.numpy().astype(np.float64)[index]
 
         origin = np.array([frame.position for frame in frames]).reshape(-1, 3)[source]
-        turn = np.array([frame.orientation for frame in frames]).reshape(-1, 4)[source]
-        body_turn = rows(world.state.orientation)
-        arm = rotations.rotate(body_turn, origin)
-        center = rotations.rotate(body_turn, rows(world.model.bodies.center_of_mass))
+        orientation = np.array([frame.orientation for frame in frames]).reshape(-1, 4)[source]
+        body_orientation = rows(world.state.orientation)
+        arm = rotations.rotate(body_orientation, origin)
+        center = rotations.rotate(body_orientation, rows(world.model.bodies.center_of_mass))
         spin = np.where(to_world, 0.0, rows(world.state.angular_velocity))
         speed = rows(world.state.linear_velocity) + np.cross(spin, arm - center)
         return (
             np.where(to_world, origin, rows(world.state.position) + arm),
-            np.where(to_world, turn, rotations.multiply(body_turn, turn)),
+            np.where(to_world, orientation, rotations.multiply(body_orientation, orientation)),
             np.where(to_world, 0.0, speed),
             spin,
         )

@@ -169,11 +169,12 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         touched = body_rows(world.layout, chosen, bodies)
         if bodies is not None:
             _refuse_of_chosen(world, name, value, touched)
-        writer = {"mass": _write_mass, "active": _write_active}.get(name)
-        if writer is None:
-            write_rows(world, name, value, touched)
+        if name == "mass":
+            _write_mass(world, value, touched)
+        elif name == "active":
+            assign_rows(world.state.active, flags("active", value, touched.shape), touched)
         else:
-            writer(world, value, touched)
+            write_rows(world, name, value, touched)
         if name in SURFACE_VELOCITIES:
             world.choose_step()
     wake(world, chosen, touched)
@@ -336,10 +337,6 @@ def assign_rows(array: wp.array, values: Any, rows: np.ndarray) -> None:
     values = np.broadcast_to(values, (*rows.shape, *host.shape[1:]))
     host[rows[present]] = values[present]
     array.assign(host)
-
-
-def _write_active(world: World, value: Any, rows: np.ndarray) -> None:
-    assign_rows(world.state.active, flags("active", value, rows.shape), rows)
 
 
 def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:

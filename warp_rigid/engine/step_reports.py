@@ -132,7 +132,9 @@ def _island_counts(world: World) -> dict[str, np.ndarray]:
     present = (world.model.bodies.motion.numpy() == Motion.DYNAMIC) & (world.state.active.numpy() == 1)
     asleep = world.sleep_state.asleep.numpy() == 1
     awake = world.shards.gather(lambda shard: shard.pools.graph.island.numpy() + shard.first_body)
-    slept = world.sleep_state.island.numpy() + world.shards.gather(_first_body_of_each)
+    slept = world.sleep_state.island.numpy() + world.shards.gather(
+        lambda shard: np.full(shard.end_body - shard.first_body, shard.first_body)
+    )
     converged = world.shards.gather(lambda shard: shard.pools.graph.converged.numpy())[env] == 1
     solver = world.shards.gather(lambda shard: shard.pools.graph.solver.numpy())
     solver = np.where((solver == IslandSolver.SHOCK) & converged, IslandSolver.SWEEPS, solver)
@@ -140,11 +142,6 @@ def _island_counts(world: World) -> dict[str, np.ndarray]:
     by_solver = {f"islands_{one.name.lower()}": first & ~asleep & (solver == one) for one in IslandSolver}
     counted = {"islands": first, **by_solver, "islands_asleep": first & asleep}
     return {name: np.bincount(env[those], minlength=world.num_envs) for name, those in counted.items()}
-
-
-def _first_body_of_each(shard: Shard) -> np.ndarray:
-    """The first body of the shard, for each of its bodies."""
-    return np.full(shard.end_body - shard.first_body, shard.first_body)
 
 
 def _counts_of_shard(shard: Shard) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from warp_rigid.checks import LARGEST, brief, numbers_of, shown
 from warp_rigid.rotations import inverse, multiply
 
-SAME_PLACE, SAME_TURN = 1e-6, 1e-6
+SAME_PLACE, SAME_ORIENTATION = 1e-6, 1e-6
 """Distance [m] and angle [rad] of the first and the last pose of a path that is repeated."""
 
 
@@ -48,19 +48,22 @@ class PosePath:
         if len(times) < 2 or times[0] < 0.0 or (np.diff(times) <= 0.0).any():
             raise ValueError("times: must be at least two increasing numbers >= 0")
         positions = _rows("positions", self.positions, (3,), len(times))
-        turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1)) if self.orientations is None else self.orientations
-        turns = _rows("orientations", turns, (4,), len(times))
-        length = np.linalg.norm(turns, axis=1, keepdims=True)
+        orientations = (
+            np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1)) if self.orientations is None else self.orientations
+        )
+        orientations = _rows("orientations", orientations, (4,), len(times))
+        length = np.linalg.norm(orientations, axis=1, keepdims=True)
         if (length < 1e-6).any():
             raise ValueError("orientations: must be quaternions (x, y, z, w) of length > 0")
-        turns = np.where(np.abs(length - 1.0) <= 1e-15, turns, turns / length)
-        turns = turns * np.cumprod([1.0, *np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)])[:, None]
+        orientations = np.where(np.abs(length - 1.0) <= 1e-15, orientations, orientations / length)
+        opposite = (orientations[1:] * orientations[:-1]).sum(axis=1) < 0.0
+        orientations = orientations * np.cumprod([1.0, *np.where(opposite, -1.0, 1.0)])[:, None]
         if not isinstance(self.loop, bool):
             raise ValueError(f"loop: must be True or False, got {shown(self.loop)}")
         apart = np.abs(positions[-1] - positions[0]).max() > SAME_PLACE * max(1.0, np.abs(positions).max())
-        if self.loop and (apart or 1.0 - abs(turns[0] @ turns[-1]) > SAME_TURN**2 / 8):
+        if self.loop and (apart or 1.0 - abs(orientations[0] @ orientations[-1]) > SAME_ORIENTATION**2 / 8):
             raise ValueError("loop: the last pose must be the first one, from which a repeated path goes on")
-        for name, values in (("times", times), ("positions", positions), ("orientations", turns)):
+        for name, values in (("times", times), ("positions", positions), ("orientations", orientations)):
             values.flags.writeable = False
             object.__setattr__(self, name, values)
 
@@ -91,19 +94,19 @@ class PosePath:
             time = first + (time - first) % (last - first)
         time = min(max(time, first), last)
         i = min(int(np.searchsorted(self.times, time, side="right")) - 1, len(self.times) - 2)
-        share = (time - self.times[i]) / (self.times[i + 1] - self.times[i])
-        position = self.positions[i] + share * (self.positions[i + 1] - self.positions[i])
-        return position, _turned(self.orientations[i], self.orientations[i + 1], share)
+        fraction = (time - self.times[i]) / (self.times[i + 1] - self.times[i])
+        position = self.positions[i] + fraction * (self.positions[i + 1] - self.positions[i])
+        return position, _interpolated(self.orientations[i], self.orientations[i + 1], fraction)
 
 
-def _turned(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
-    """The orientation at a share of the way from one to another."""
-    turn = multiply(end, inverse(start))
-    sine = np.linalg.norm(turn[:3])
+def _interpolated(start: np.ndarray, end: np.ndarray, fraction: float) -> np.ndarray:
+    """The orientation at a fraction of the way from one to another."""
+    rotation = multiply(end, inverse(start))
+    sine = np.linalg.norm(rotation[:3])
     if sine == 0.0:
         return start.copy()
-    half = share * np.arctan2(sine, turn[3])
-    return multiply(np.array([*(np.sin(half) / sine * turn[:3]), np.cos(half)]), start)
+    half = fraction * np.arctan2(sine, rotation[3])
+    return multiply(np.array([*(np.sin(half) / sine * rotation[:3]), np.cos(half)]), start)
 
 
 def _rows(name: str, value: Sequence | np.ndarray, tail: tuple[int, ...], count: int | None = None) -> np.ndarray:

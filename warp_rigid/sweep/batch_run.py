@@ -117,7 +117,7 @@ def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = No
     return prepare(job, [Run(0, row["id"], parameters, row["seed"])]).sim
 
 
-def run_batch(job: Job, runs: Sequence[Run], on_part: Callable[[float], object] = lambda done: None) -> Batch:
+def run_batch(job: Job, runs: Sequence[Run], on_done: Callable[[float], object] = lambda done: None) -> Batch:
     """Run a batch. A failed run becomes a row with the reason; an exception fails all runs of the batch.
 
     A batch that does not fit into memory is split in half, and so is one in which a value is refused, so that only the
@@ -126,13 +126,13 @@ def run_batch(job: Job, runs: Sequence[Run], on_part: Callable[[float], object] 
     Args:
         job: data shared by all runs.
         runs: the runs of the batch.
-        on_part: called after each sample with the part that is done, as a number of runs.
+        on_done: called after each sample with what is done, as a number of runs.
     """
     start = time.perf_counter()
     prepared = None
     try:
         prepared = prepare(job, runs)
-        return _run(job, prepared, start, on_part)
+        return _run(job, prepared, start, on_done)
     except Exception as error:
         refused = prepared is None and isinstance(error, ValueError)
         too_large = isinstance(error, MemoryError | CapacityError) or "alloc" in str(error).lower()
@@ -143,8 +143,8 @@ def run_batch(job: Job, runs: Sequence[Run], on_part: Callable[[float], object] 
     # The whole batch is freed before its halves are built.
     prepared = None
     middle = len(runs) // 2
-    first = run_batch(job, runs[:middle], on_part)
-    second = run_batch(job, runs[middle:], lambda done: on_part(middle + done))
+    first = run_batch(job, runs[:middle], on_done)
+    second = run_batch(job, runs[middle:], lambda done: on_done(middle + done))
     for row in second.rows:
         row["environment"] += middle
     watch = Stopwatch()
@@ -161,7 +161,7 @@ def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | Non
     return Batch([_row(run, env, status, reason) | {"wall_time": seconds} for env, run in enumerate(runs)])
 
 
-def _run(job: Job, prepared: Prepared, start: float, on_part: Callable[[float], object]) -> Batch:
+def _run(job: Job, prepared: Prepared, start: float, on_done: Callable[[float], object]) -> Batch:
     sim = prepared.sim
     watch = Stopwatch()
     watch.add({"load": sim.load_seconds, "build": time.perf_counter() - start - sim.load_seconds})
@@ -190,7 +190,7 @@ def _run(job: Job, prepared: Prepared, start: float, on_part: Callable[[float], 
         observers.look()
         _append_look(sim, observers, looks)
         _append_frame(job, sim, frames)
-        on_part(len(prepared.runs) * (1.0 - max(remaining, 0) / steps))
+        on_done(len(prepared.runs) * (1.0 - max(remaining, 0) / steps))
     columns = recorder.values()
     columns |= _measured(prepared, [metric for metric in job.metrics if not isinstance(metric, str)], failures)
     columns |= outcomes.values()

@@ -83,37 +83,37 @@ def split_into_batches(
         memory: free memory of the device [bytes].
         workers: number of batches that run in parallel.
     """
-    parts: list[list[SizedRun]] = []
+    batches: list[list[SizedRun]] = []
     for runs in groups:
         size = _batch_size(len(runs), most if batch == "auto" else int(batch), workers)
         for first in range(0, len(runs), size):
-            part = runs[first : first + size]
-            parts += [part] if batch != "auto" else _fitting(part, int(MEMORY_FRACTION * memory))
+            some = runs[first : first + size]
+            batches += [some] if batch != "auto" else _fitting(some, int(MEMORY_FRACTION * memory))
     log.info(
         "%d runs in %d batches of at most %d; at most %.3g MB per batch, %.3g GB free",
-        sum(map(len, parts)),
-        len(parts),
-        max(map(len, parts)),
-        max(map(batch_bytes, parts)) / 1e6,
+        sum(map(len, batches)),
+        len(batches),
+        max(map(len, batches)),
+        max(map(batch_bytes, batches)) / 1e6,
         memory / 1e9,
     )
-    return [[sized.run for sized in part] for part in parts]
+    return [[sized.run for sized in runs] for runs in batches]
 
 
-def batch_bytes(part: list[SizedRun]) -> int:
+def batch_bytes(runs: list[SizedRun]) -> int:
     """Initial device memory of a batch; each distinct shape counts once [bytes]."""
     shapes: dict[str, int] = {}
-    for footprint in {id(sized.footprint): sized.footprint for sized in part}.values():
+    for footprint in {id(sized.footprint): sized.footprint for sized in runs}.values():
         shapes |= footprint.shapes
-    return sum(sized.footprint.own for sized in part) + sum(shapes.values())
+    return sum(sized.footprint.own for sized in runs) + sum(shapes.values())
 
 
-def _fitting(part: list[SizedRun], memory: int) -> list[list[SizedRun]]:
-    """The runs in order, halved until each part fits into the memory."""
-    if len(part) == 1 or batch_bytes(part) <= memory:
-        return [part]
-    middle = len(part) // 2
-    return _fitting(part[:middle], memory) + _fitting(part[middle:], memory)
+def _fitting(runs: list[SizedRun], memory: int) -> list[list[SizedRun]]:
+    """The runs in order, halved until each batch fits into the memory."""
+    if len(runs) == 1 or batch_bytes(runs) <= memory:
+        return [runs]
+    middle = len(runs) // 2
+    return _fitting(runs[:middle], memory) + _fitting(runs[middle:], memory)
 
 
 def _batch_size(count: int, most: int, workers: int = 1) -> int:

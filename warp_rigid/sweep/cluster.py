@@ -36,13 +36,13 @@ def run_on_cluster(
         client.wait_for_workers(1)
         hosts = _one_task_a_worker(client)
         most, memory = client.submit(_worker_capacity, job, hosts, pure=False).result()
-        parts = split_into_batches(groups, batch, most, memory, hosts.total())
+        batches = split_into_batches(groups, batch, most, memory, hosts.total())
         job = replace(job, scenes={})
-        futures = {client.submit(_run_on_worker, job, part, hosts, pure=False): part for part in parts}
+        futures = {client.submit(_run_on_worker, job, runs, hosts, pure=False): runs for runs in batches}
         for future in as_completed(futures):
-            part = futures.pop(future)
+            runs = futures.pop(future)
             error = future.exception()
-            yield part, future.result() if error is None else failed_batch(part, error)
+            yield runs, future.result() if error is None else failed_batch(runs, error)
             future.release()
 
 

@@ -205,15 +205,15 @@ def _run_all(
 
     done = len(book.rows)
 
-    def on_part(part: float) -> None:
+    def on_done(running: float) -> None:
         """Show the progress within the running batches."""
-        advance(done + part)
+        advance(done + running)
 
     try:
         with ThreadPoolExecutor(1) as writer:
-            for part, result in _results(job, groups, batch, runner, watch, on_part):
-                done += len(part)
-                on_part(0.0)
+            for runs, result in _results(job, groups, batch, runner, watch, on_done):
+                done += len(runs)
+                on_done(0.0)
                 watch.add(result.seconds)
                 settle()
                 stored = writer.submit(book.store, result)
@@ -241,7 +241,7 @@ def _results(
     batch: int | str,
     runner: Any,
     watch: Stopwatch,
-    on_part: Callable[[float], object],
+    on_done: Callable[[float], object],
 ) -> Iterator[tuple[list[Run], Batch]]:
     """Yield the runs of each batch with their results, in order of completion.
 
@@ -252,15 +252,15 @@ def _results(
     if isinstance(runner, WorkerProcesses):
         with watch.of("start"):
             most, memory = runner.start(job)
-        yield from runner.run(split_into_batches(groups, batch, most, memory, runner.count), on_part)
+        yield from runner.run(split_into_batches(groups, batch, most, memory, runner.count), on_done)
         return
     if runner is not None:
         yield from run_on_cluster(job, groups, batch, runner)
         return
     device = choose_device(job.device)
     job = replace(job, device=device)
-    for part in split_into_batches(groups, batch, max_environments(device), free_memory(device)):
-        yield part, run_batch(job, part, on_part)
+    for runs in split_into_batches(groups, batch, max_environments(device), free_memory(device)):
+        yield runs, run_batch(job, runs, on_done)
 
 
 def _machines(device: Any, cluster: Any, workers: int | None) -> tuple[Any, Any, int | None]:

@@ -156,12 +156,9 @@ def _label(name: str) -> str:
 
 def _groups(result: Any, names: list[str]) -> dict[str, np.ndarray]:
     """Row masks grouped and labelled by the values of some axes, in the order of the design."""
-    labels = [", ".join(_word(row[name]) for name in names) for row in result.rows]
+    words = [[f"{x:.4g}" if isinstance(x := row[name], float) else str(x) for name in names] for row in result.rows]
+    labels = [", ".join(row) for row in words]
     return {label: np.array([other == label for other in labels]) for label in dict.fromkeys(labels)}
-
-
-def _word(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _of(values: np.ndarray, pick: Any) -> float:

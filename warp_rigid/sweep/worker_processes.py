@@ -27,8 +27,8 @@ WORKERS_WITHOUT_GPU = 2
 
 MAX_WORKERS = 4096
 
-PART_PERIOD = 0.25
-"""Time between looks at the parts of the running batches [s]."""
+DONE_PERIOD = 0.25
+"""Time between looks at what is done of the running batches [s]."""
 
 TRIES = 2
 """Number of processes that a batch may end before its runs count as failed."""
@@ -40,7 +40,7 @@ PARENT_PERIOD = 1.0
 _number = 0
 _sharers = 1
 _job: Any = None
-_parts: Any = None
+_done: Any = None
 
 
 class WorkerProcesses:
@@ -60,7 +60,7 @@ class WorkerProcesses:
         self._job: Job | None = None
         self._file = tempfile.NamedTemporaryFile()
         self._file.truncate(np.float64().nbytes * self.count)
-        self._parts = _open_parts(self._file.name, self.count)
+        self._done = _open_done(self._file.name, self.count)
         self._workers = [self._started(number) for number in range(self.count)]
 
     def __enter__(self) -> "WorkerProcesses":
@@ -91,39 +91,39 @@ class WorkerProcesses:
             raise ValueError(f"cluster: the worker processes cannot take the job: {shown(reason)}") from error
 
     def run(
-        self, parts: list[list[Run]], on_part: Callable[[float], object] = lambda done: None
+        self, batches: list[list[Run]], on_done: Callable[[float], object] = lambda done: None
     ) -> Iterator[tuple[list[Run], Batch]]:
         """Yield the runs of each batch with their results, in order of completion.
 
         A batch whose process ends is repeated in a new one. A batch that ends several processes becomes failed rows.
 
         Args:
-            parts: the runs of each batch.
-            on_part: called now and then with the parts of the running batches that are done, as a number of runs.
+            batches: the runs of each batch.
+            on_done: called now and then with what is done of the running batches, as a number of runs.
         """
-        left = iter(parts)
+        left = iter(batches)
         # For each batch that runs, its worker and how often it was started.
         running: dict[Future, tuple[list[Run], int, int]] = {}
 
-        def submit(part: list[Run] | None, number: int, tries: int = 1) -> None:
-            if part is not None:
-                running[self._workers[number].submit(_run, part)] = part, number, tries
+        def submit(runs: list[Run] | None, number: int, tries: int = 1) -> None:
+            if runs is not None:
+                running[self._workers[number].submit(_run, runs)] = runs, number, tries
 
         for number in range(self.count):
             submit(next(left, None), number)
         while running:
-            on_part(float(self._parts.sum()))
-            for future in wait(running, PART_PERIOD, FIRST_COMPLETED).done:
-                part, number, tries = running.pop(future)
-                self._parts[number] = 0.0
+            on_done(float(self._done.sum()))
+            for future in wait(running, DONE_PERIOD, FIRST_COMPLETED).done:
+                runs, number, tries = running.pop(future)
+                self._done[number] = 0.0
                 error = future.exception()
                 if error is not None:
                     self._restart(number)
                 if error is not None and tries < TRIES:
-                    submit(part, number, tries + 1)
+                    submit(runs, number, tries + 1)
                     continue
                 submit(next(left, None), number)
-                yield part, future.result() if error is None else failed_batch(part, error)
+                yield runs, future.result() if error is None else failed_batch(runs, error)
 
     def _started(self, number: int) -> Any:
         """An executor with one process, which begins at once."""
@@ -140,10 +140,10 @@ class WorkerProcesses:
         self._workers[number].submit(_accept, self._job)
 
 
-def _begin(number: int, count: int, parts: str) -> None:
-    """Load the kernels that every batch needs, as worker `number` of `count`; `parts` is the file of _open_parts."""
-    global _number, _sharers, _parts
-    _number, _sharers, _parts = number, count, _open_parts(parts, count)
+def _begin(number: int, count: int, done: str) -> None:
+    """Load the kernels that every batch needs, as worker `number` of `count`; `done` is the file of _open_done."""
+    global _number, _sharers, _done
+    _number, _sharers, _done = number, count, _open_done(done, count)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one ends it
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     start_warp()
@@ -162,19 +162,19 @@ def _accept(job: Job) -> tuple[int, int]:
     return capacity_of(_job.device, _sharers)
 
 
-def _run(part: list[Run]) -> Batch:
+def _run(runs: list[Run]) -> Batch:
     """Run a batch of the job."""
     with shared_by(_sharers):
-        return run_batch(_job, part, _tell)
+        return run_batch(_job, runs, _tell)
 
 
-def _open_parts(path: str, count: int) -> np.memmap:
-    """The file in which each worker tells which part of its batch is done, (count,) float64, as a number of runs."""
+def _open_done(path: str, count: int) -> np.memmap:
+    """The file in which each worker tells how much of its batch is done, (count,) float64, as a number of runs."""
     return np.memmap(path, np.float64, "r+", shape=(count,))
 
 
 def _tell(done: float) -> None:
-    _parts[_number] = done
+    _done[_number] = done
 
 
 def capacity_of(device: Any, sharers: int) -> tuple[int, int]:

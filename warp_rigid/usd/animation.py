@@ -132,8 +132,8 @@ class Instancers:
             position = np.ascontiguousarray(frame.position[self._row, group.bodies])
             orientation = np.ascontiguousarray(frame.orientation[self._row, group.bodies])
             # q and -q are the same rotation; equal signs let readers interpolate along the short arc.
-            turned = np.einsum("ij,ij->i", orientation, group.orientation) < 0.0
-            orientation[turned] *= -1.0
+            opposite = np.einsum("ij,ij->i", orientation, group.orientation) < 0.0
+            orientation[opposite] *= -1.0
             values: dict[str, Any] = {}
             surface = self._film.surfaces[self._film.surface[group.bodies[0]]]
             if surface.moves:

@@ -49,5 +49,5 @@ def polar(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def frame_of_plane(plane: Plane) -> tuple[np.ndarray, np.ndarray]:
     """Pose of a USD plane, which is z = 0 in the frame of its prim: position and quaternion."""
-    turn = Gf.Rotation(Gf.Vec3d(0.0, 0.0, 1.0), Gf.Vec3d(*plane.normal.tolist())).GetQuat()
-    return plane.offset * plane.normal, np.array([*turn.GetImaginary(), turn.GetReal()])
+    rotation = Gf.Rotation(Gf.Vec3d(0.0, 0.0, 1.0), Gf.Vec3d(*plane.normal.tolist())).GetQuat()
+    return plane.offset * plane.normal, np.array([*rotation.GetImaginary(), rotation.GetReal()])

@@ -23,7 +23,7 @@ from warp_rigid.scene.joints import (
     RevoluteJoint,
     SphericalJoint,
 )
-from warp_rigid.scene.joints.placing import local_frame, turn_to, world_frame
+from warp_rigid.scene.joints.placing import local_frame, rotation_of_x_to, world_frame
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.geometry import MARK, custom_data, gf_quaternion, quaternion_of_matrix
@@ -155,12 +155,12 @@ class JointReader:
         second = second if links[1] is None else (links[1], *second[1:])
         if first[0] == second[0] and {str(description.rel0), str(description.rel1)} & self._parts.keys():
             return  # It holds a part of a body.
-        axis = turn_to(AXES[str(getattr(description, "axis", "X"))[-1].upper()])
-        frames = [(point, rotations.multiply(turn, axis)) for _, point, turn in (second, first)]
+        axis = rotation_of_x_to(AXES[str(getattr(description, "axis", "X"))[-1].upper()])
+        frames = [(point, rotations.multiply(orientation, axis)) for _, point, orientation in (second, first)]
         body_a, body_b = second[0], first[0]
         if body_a is None:
             body_a, body_b = body_b, body_a
-            frames = [(point, rotations.multiply(turn, HALF_TURN)) for point, turn in reversed(frames)]
+            frames = [(point, rotations.multiply(orientation, HALF_TURN)) for point, orientation in reversed(frames)]
         if body_a is None:
             raise ValueError("the joint holds no rigid body")
         force = self._kilogram * self._meter
@@ -212,9 +212,9 @@ class JointReader:
         position, rotation, stretch = self._frame_of(target)
         local = np.array(prim.GetAttribute(f"physics:localPos{end}").Get() or (0, 0, 0), dtype=np.float64)
         given = prim.GetAttribute(f"physics:localRot{end}").Get() or Gf.Quatf(1.0)
-        turn = np.array([*given.GetImaginary(), given.GetReal()], dtype=np.float64)
-        turn = rotations.multiply(quaternion_of_matrix(rotation), turn / np.linalg.norm(turn))
-        return body, position + rotation @ (stretch @ local), turn
+        orientation = np.array([*given.GetImaginary(), given.GetReal()], dtype=np.float64)
+        orientation = rotations.multiply(quaternion_of_matrix(rotation), orientation / np.linalg.norm(orientation))
+        return body, position + rotation @ (stretch @ local), orientation
 
     def _body(self, prim: Usd.Prim | None) -> int | None:
         """Index of the body to which a prim belongs; None if it belongs to none."""

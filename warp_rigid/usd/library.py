@@ -175,9 +175,13 @@ def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
     if not isinstance(shape, Compound):
         return [(shape, np.zeros(3), IDENTITY_ROTATION)]
     return [
-        (part, position + rotations.rotate(orientation, inner), tuple(rotations.multiply(orientation, turn).tolist()))
+        (
+            part,
+            position + rotations.rotate(orientation, inner_position),
+            tuple(rotations.multiply(orientation, inner_orientation).tolist()),
+        )
         for child, position, orientation in shape.children
-        for part, inner, turn in simple_shapes(child)
+        for part, inner_position, inner_orientation in simple_shapes(child)
     ]
 
 

@@ -122,8 +122,8 @@ class MassReader:
             per_mass = per_mass + steiner(center - own.center_of_mass)
         tensor = self._tensor(prim, api)
         if tensor is not None:
-            turn, _ = polar(frame[:3, :3])
-            per_mass = turn @ tensor @ turn.T / mass
+            rotation, _ = polar(frame[:3, :3])
+            per_mass = rotation @ tensor @ rotation.T / mass
         return center, per_mass
 
     def _tensor(self, prim: Usd.Prim, api: UsdPhysics.MassAPI) -> np.ndarray | None:
@@ -136,10 +136,12 @@ class MassReader:
             self._change(prim, "moments of inertia: must be > 0; those of its shape are used")
             return None
         axes = api.GetPrincipalAxesAttr().Get()
-        turn = np.array([*axes.GetImaginary(), axes.GetReal()] if axes else [0.0, 0.0, 0.0, 1.0], dtype=np.float64)
+        orientation = np.array(
+            [*axes.GetImaginary(), axes.GetReal()] if axes else [0.0, 0.0, 0.0, 1.0], dtype=np.float64
+        )
         # The default of the schema is a quaternion of zeros.
-        length = float(np.linalg.norm(turn))
-        matrix = rotations.matrix(turn / length) if length > 0.0 else np.eye(3)
+        length = float(np.linalg.norm(orientation))
+        matrix = rotations.matrix(orientation / length) if length > 0.0 else np.eye(3)
         return self._kilogram * self._meter**2 * matrix @ np.diag(moments) @ matrix.T
 
 

@@ -89,7 +89,7 @@ def convert_prim(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes:
     identity = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
     if prim.IsA(UsdGeom.Mesh):
         return _mesh(prim, matrix, sdf_resolution, notes), *identity
-    axes = matrix[:3, :3] @ _turn_to_z(prim)
+    axes = matrix[:3, :3] @ _rotation_to_z(prim)
     if prim.IsA(UsdGeom.Plane):
         normal = np.cross(axes[:, 0], axes[:, 1]) * np.sign(np.linalg.det(axes))
         normal /= np.linalg.norm(normal)
@@ -117,7 +117,7 @@ def triangles_of(prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
     """
     if prim.IsA(UsdGeom.Mesh):
         return usd_triangles(UsdGeom.Mesh(prim))
-    turn = _turn_to_z(prim)
+    rotation = _rotation_to_z(prim)
     if prim.IsA(UsdGeom.Cone):
         cone = UsdGeom.Cone(prim)
         half = 0.5 * cone.GetHeightAttr().Get()
@@ -132,10 +132,10 @@ def triangles_of(prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
         shape = _scaled(prim, np.ones(3))
         assert shape is not None
         vertices, faces = shape.surface()
-    return vertices @ turn.T, faces
+    return vertices @ rotation.T, faces
 
 
-def _turn_to_z(prim: Usd.Prim) -> np.ndarray:
+def _rotation_to_z(prim: Usd.Prim) -> np.ndarray:
     """Rotation from a frame with the prim's axis as z to the prim's frame."""
     axis = prim.GetAttribute("axis").Get() if prim.HasAttribute("axis") else "Z"
     # A cyclic permutation of the axes is a rotation; the columns are the new axes.

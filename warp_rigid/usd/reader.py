@@ -214,18 +214,16 @@ class Reader:
             roots = ", ".join(str(Sdf.Path(path).GetParentPath()) for path in found)
             raise ValueError(f"{self.path}: has several gravities; set root to one of {roots}")
         custom = custom_data(self.stage.GetPrimAtPath(next(iter(found)))) if found else {}
+        # MuJoCo takes the larger friction of two bodies.
+        of_mujoco = any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in described(objects, COLLIDERS))
         scene = Scene(
             gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
-            friction_combine=custom.get("frictionCombine", "max" if self._is_of_mujoco(objects) else "min"),
+            friction_combine=custom.get("frictionCombine", "max" if of_mujoco else "min"),
             restitution_combine=custom.get("restitutionCombine", "min"),
         )
         for force_field in fields_from_data(custom):
             scene.add_force_field(force_field)
         return scene
-
-    def _is_of_mujoco(self, objects: dict) -> bool:
-        """Whether colliders come from a file of MuJoCo, which takes the larger friction of two bodies."""
-        return any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in described(objects, COLLIDERS))
 
     def _bodies(self, objects: dict) -> list[_Body]:
         """Bodies in file order, each with its enabled colliders."""
@@ -319,28 +317,28 @@ class Reader:
 
     def _add_group(self, scene: Scene, body: _Body, group: list[Collider], frame, motion: PosePath | None) -> None:
         position, rotation, stretch = frame
-        shape, where, turn = _joined(group, body.motion)
+        shape, place_in_body, orientation = _joined(group, body.motion)
         common: dict[str, Any] = {
-            "position": position + rotation @ where,
-            "orientation": quaternion_of_matrix(rotation @ rotations.matrix(turn)),
+            "position": position + rotation @ place_in_body,
+            "orientation": quaternion_of_matrix(rotation @ rotations.matrix(orientation)),
             "name": body.prim.GetDisplayName() or body.prim.GetName(),
             **self._coefficients(body, group),
         }
         try:
             if body.motion != Motion.DYNAMIC:
                 surface = read_surface_motion(body.prim, rotation, stretch, self._to_z_up, self.meter)
-                common |= surface.in_frame(where, rotations.matrix(turn)).keywords
+                common |= surface.in_frame(place_in_body, rotations.matrix(orientation)).keywords
             if body.motion == Motion.STATIC:
                 index = scene.add_static(shape, **common)
             elif motion is not None:
                 del common["position"], common["orientation"]
                 index = scene.add_kinematic(shape, **common, path=motion)
             elif body.motion == Motion.KINEMATIC:
-                center = where + rotations.rotate(turn, shape.center_of_mass)
+                center = place_in_body + rotations.rotate(orientation, shape.center_of_mass)
                 index = scene.add_kinematic(shape, **common, **self._velocities(body.prim, rotation, center))
             else:
                 shape, mass = self._masses.of_colliders(body.prim, group, shape, stretch)
-                center = where + rotations.rotate(turn, shape.center_of_mass)
+                center = place_in_body + rotations.rotate(orientation, shape.center_of_mass)
                 velocities = self._velocities(body.prim, rotation, center)
                 index = scene.add_body(shape, mass=mass, **common, **velocities)
         except ValueError as error:

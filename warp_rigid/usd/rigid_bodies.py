@@ -119,13 +119,13 @@ class Bodies:
             write_surface_motion(prim, *surface)
         follows = {} if body.path is None else {FOLLOWS_PATH: True}
         prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower(), **follows}})
-        place, turn = write_pose(prim, self._position[index], self._orientation[index])
+        place, orientation = write_pose(prim, self._position[index], self._orientation[index])
         hue = set_attribute(
             prim, "primvars:displayColor", NAMES.Color3fArray, vec3f([self._colors[index]]), interpolation="constant"
         )
         for tracks, attribute in (
             (self._translate_tracks, place),
-            (self._orient_tracks, turn),
+            (self._orient_tracks, orientation),
             (self._color_tracks, hue),
         ):
             tracks.append(samples.track(attribute))
@@ -163,9 +163,9 @@ class Bodies:
         moved = np.flatnonzero((position != self._position).any(axis=1))
         values = Vt.Vec3dArray.FromNumpy(position[moved].astype(np.float64))
         samples.put([self._translate_tracks[index] for index in moved.tolist()], time, values)
-        turned = np.flatnonzero((orientation != self._orientation).any(axis=1))
-        values = Vt.QuatdArray.FromNumpy(precise_quaternions(orientation[turned]))
-        samples.put([self._orient_tracks[index] for index in turned.tolist()], time, values)
+        rotated = np.flatnonzero((orientation != self._orientation).any(axis=1))
+        values = Vt.QuatdArray.FromNumpy(precise_quaternions(orientation[rotated]))
+        samples.put([self._orient_tracks[index] for index in rotated.tolist()], time, values)
         self._position, self._orientation = position.copy(), orientation
         if self._color not in CONSTANT_COLORINGS:
             self._sample_colors(samples, time, frame)

@@ -18,7 +18,7 @@ def downhill(degrees: float, gravity: float = G) -> tuple[float, float, float]:
     return gravity * np.sin(slope), 0.0, -gravity * np.cos(slope)
 
 
-def turn_about(axis, degrees) -> np.ndarray:
+def orientation_about(axis, degrees) -> np.ndarray:
     """Quaternion (..., 4) of rotations about an axis by one angle or several [degrees]."""
     return rotations.about_axis(axis, np.radians(degrees))
 

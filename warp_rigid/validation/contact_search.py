@@ -56,21 +56,21 @@ def _distinct(directions: np.ndarray) -> np.ndarray:
     return np.array(kept)
 
 
-def overlap(kinds: Sequence[str], offset: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def overlap(kinds: Sequence[str], offset: np.ndarray, orientation: np.ndarray) -> np.ndarray:
     """Exact overlap of pairs of polyhedra by separating axes in float64, (pairs,) [m]; negative if they are apart.
 
     Args:
         kinds: of both solids.
         offset: (pairs, 3) position of the second one in the frame of the first [m].
-        turn: (pairs, 4) its orientation there.
+        orientation: (pairs, 4) its orientation there.
     """
     parts = range(0, len(offset), CHUNK)
-    return np.concatenate([_overlap(kinds, offset[k : k + CHUNK], turn[k : k + CHUNK]) for k in parts])
+    return np.concatenate([_overlap(kinds, offset[k : k + CHUNK], orientation[k : k + CHUNK]) for k in parts])
 
 
-def _overlap(kinds, offset, turn):
+def _overlap(kinds, offset, orientation):
     (first, normals_a, edges_a), (second, normals_b, edges_b) = (features(kind) for kind in kinds)
-    matrix = rotations.matrix(turn)
+    matrix = rotations.matrix(orientation)
     crossed = np.cross(edges_a[None, :, None], np.einsum("pij,ej->pei", matrix, edges_b)[:, None])
     own = np.broadcast_to(normals_a, (len(offset), *normals_a.shape))
     axes = np.concatenate(
@@ -91,19 +91,19 @@ def random_pairs(kinds: Sequence[str], count: int, seed: int) -> tuple[np.ndarra
     while sum(len(depth) for _, _, depth in found) < count:
         away = draw.normal(size=(4 * count, 3))
         away *= (draw.uniform(0.2, 2.0, 4 * count) * RADIUS / np.linalg.norm(away, axis=1))[:, None]
-        turn = rotations.random(draw, 4 * count)
-        depth = overlap(kinds, away, turn)
+        orientation = rotations.random(draw, 4 * count)
+        depth = overlap(kinds, away, orientation)
         kept = (depth > 2.0 * RADIUS * LEAST) & (depth < 2.0 * RADIUS * 0.2)
-        found.append((away[kept], turn[kept], depth[kept]))
+        found.append((away[kept], orientation[kept], depth[kept]))
     return tuple(np.concatenate(parts)[:count] for parts in zip(*found, strict=True))  # type: ignore[return-value]
 
 
-def pair_simulator(kinds: Sequence[str], offset: np.ndarray, turn: np.ndarray, device: str) -> Simulator:
+def pair_simulator(kinds: Sequence[str], offset: np.ndarray, orientation: np.ndarray, device: str) -> Simulator:
     """An environment for each pair, without gravity; dt 1/240."""
     scene = in_space(*(body(convex_solid(kind, RADIUS)) for kind in kinds))
     sim = Simulator(scene(), len(offset), Settings(dt=1 / 240), device=device)
     sim.set("position", offset[:, None], bodies=[1])
-    sim.set("orientation", turn[:, None], bodies=[1])
+    sim.set("orientation", orientation[:, None], bodies=[1])
     return sim
 
 
@@ -112,8 +112,8 @@ def contacts_found(count, among):
     combinations = list(itertools.combinations_with_replacement(among, 2))
 
     def missed(kinds, device):
-        offset, turn, _ = random_pairs(kinds, count, 74)
-        sim = pair_simulator(kinds, offset, turn, device)
+        offset, orientation, _ = random_pairs(kinds, count, 74)
+        sim = pair_simulator(kinds, offset, orientation, device)
         sim.step(1)
         return count - len(np.unique(sim.contacts()["env"]))
 
@@ -131,8 +131,8 @@ def pairs_part(count, kinds):
     """Pairs of equal polyhedra that start with an overlap: it is below PARTED of the size after a second."""
 
     def stuck(kind, device):
-        offset, turn, _ = random_pairs((kind, kind), count, 75)
-        sim = pair_simulator((kind, kind), offset, turn, device)
+        offset, orientation, _ = random_pairs((kind, kind), count, 75)
+        sim = pair_simulator((kind, kind), offset, orientation, device)
         sim.step(240)
         position, orientation = (sim.get(name).astype(np.float64) for name in ("position", "orientation"))
         back = rotations.inverse(orientation[:, 0])

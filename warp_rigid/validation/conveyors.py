@@ -120,8 +120,8 @@ def plate_motion() -> tuple[float, float, float]:
     dt, state = 1e-5, np.zeros(6)
     for _ in range(round(PLATE_TIME / dt)):
         angle, spin = state[2], state[5]
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        arm = feet()[:, :2] @ turn.T
+        rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        arm = feet()[:, :2] @ rotation.T
         slip = state[3:5] + spin * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
         slip[:, 1] -= np.where(state[0] + arm[:, 0] < 0.0, 1.0, 0.0)
         push = -PLATE_FRICTION * G / 3.0 * slip / np.maximum(np.linalg.norm(slip, axis=1), 1e-9)[:, None]

@@ -138,7 +138,7 @@ class Trace:
         return np.flatnonzero(self.mass[0] > 0.0)
 
     @cached_property
-    def turns(self) -> np.ndarray:
+    def rotation(self) -> np.ndarray:
         """Rotation matrices, (records, envs, bodies, 3, 3)."""
         return rotations.matrix(self.orientation / np.linalg.norm(self.orientation, axis=-1, keepdims=True))
 
@@ -154,12 +154,12 @@ class Trace:
     @cached_property
     def body_spin(self) -> np.ndarray:
         """Angular velocity in the body's frame, (records, envs, bodies, 3) [rad/s]."""
-        return np.einsum("nebji,nebj->nebi", self.turns, self.angular_velocity)
+        return np.einsum("nebji,nebj->nebi", self.rotation, self.angular_velocity)
 
     @cached_property
     def spin_momentum(self) -> np.ndarray:
         """Angular momentum about the centre of mass in the world's frame, (records, envs, bodies, 3)."""
-        return np.einsum("nebij,ebjk,nebk->nebi", self.turns, self.inertia, self.body_spin)
+        return np.einsum("nebij,ebjk,nebk->nebi", self.rotation, self.inertia, self.body_spin)
 
     @cached_property
     def center(self) -> np.ndarray:
@@ -167,7 +167,7 @@ class Trace:
         local = np.zeros((len(self.scene.bodies), 3))
         for body in self.dynamic:
             local[body] = self.scene.bodies[body].shape.center_of_mass
-        return self.position + np.einsum("nebij,bj->nebi", self.turns, local)
+        return self.position + np.einsum("nebij,bj->nebi", self.rotation, local)
 
     @cached_property
     def kinetic_energy(self) -> np.ndarray:

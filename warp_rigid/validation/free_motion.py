@@ -6,7 +6,7 @@ from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, in_space
 from warp_rigid.validation.case import Cases, Check, Curve, Miss, absolute, at_most, case, each, measured, relative
-from warp_rigid.validation.common import G, turn_about
+from warp_rigid.validation.common import G, orientation_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
 EULER = "Euler's equations, closed form"
@@ -37,12 +37,12 @@ def moments(shape) -> np.ndarray:
     return np.diag(np.asarray(shape.inertia, np.float64)) / shape.volume
 
 
-def spinning(shape, spins, turns=None, **options) -> Experiment:
+def spinning(shape, spins, orientations=None, **options) -> Experiment:
     """Experiment: a free body in environments that differ in spin (n, 3) in the body frame and orientation (n, 4)."""
     spins = np.asarray(spins, np.float64)
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(spins), 1)) if turns is None else np.asarray(turns)
-    world = rotations.rotate(turns, spins)
-    starts = Start("orientation", turns[:, None]), Start("angular_velocity", world[:, None])
+    orientations = np.tile([0.0, 0.0, 0.0, 1.0], (len(spins), 1)) if orientations is None else np.asarray(orientations)
+    world = rotations.rotate(orientations, spins)
+    starts = Start("orientation", orientations[:, None]), Start("angular_velocity", world[:, None])
     return Experiment(in_space(body(shape, mass=1.0)), starts=starts, **options)
 
 
@@ -50,12 +50,12 @@ def symmetric_top(name, shape):
     """The symmetry axis precesses about the angular momentum at L / I1, at a constant angle."""
     side, _, axial = moments(shape)
     spin = np.array([1.0, 0.0, 10.0])
-    turns = np.concatenate([[[0, 0, 0, 1]], rotations.random(np.random.default_rng(1), 3)])
+    orientations = np.concatenate([[[0, 0, 0, 1]], rotations.random(np.random.default_rng(1), 3)])
     total = np.array([side, side, axial]) * spin
 
     def axis_and_momentum(trace: Trace):
         up = trace.spin_momentum[0, :, 0]
-        return trace.turns[:, :, 0, :, 2], up / np.linalg.norm(up, axis=1, keepdims=True)
+        return trace.rotation[:, :, 0, :, 2], up / np.linalg.norm(up, axis=1, keepdims=True)
 
     def precession(trace):
         axis, up = axis_and_momentum(trace)
@@ -80,7 +80,9 @@ def symmetric_top(name, shape):
         measured("precession in space", "rad/s", precession, relative(1e-3), np.linalg.norm(total) / side),
         measured("precession in the body", "rad/s", body_rate, relative(1e-3), abs(axial - side) / side * spin[2]),
         measured("angle with the largest deviation from the start", "deg", farthest_angle, relative(1e-3), tilt),
-        of=spinning(shape, np.tile(spin, (4, 1)), turns, duration=10.0, variants=("upright", "turned", "2nd", "3rd")),
+        of=spinning(
+            shape, np.tile(spin, (4, 1)), orientations, duration=10.0, variants=("upright", "turned", "2nd", "3rd")
+        ),
     )
 
 
@@ -109,7 +111,7 @@ def flip_interval(inertia, spin) -> float:
 
 def flips(trace: Trace) -> list[np.ndarray]:
     """Times at which the middle axis passes the equator of the angular momentum, for each environment [s]."""
-    height = np.einsum("nei,nei->ne", trace.turns[:, :, 0, :, 1], trace.spin_momentum[:, :, 0])
+    height = np.einsum("nei,nei->ne", trace.rotation[:, :, 0, :, 1], trace.spin_momentum[:, :, 0])
     found = []
     for series in height.T:
         k = np.flatnonzero(np.sign(series[:-1]) != np.sign(series[1:]))
@@ -152,7 +154,7 @@ def stable_axes(duration):
     axes = np.array([0, 2])
 
     def wander(trace):
-        axis = np.moveaxis(trace.turns[:, np.arange(2), 0, :, axes], 0, 1)
+        axis = np.moveaxis(trace.rotation[:, np.arange(2), 0, :, axes], 0, 1)
         sine = np.linalg.norm(np.cross(axis, axis[0][None]), axis=-1)
         return np.degrees(np.arctan2(sine, np.einsum("nei,ei->ne", axis, axis[0]))).max(axis=0)
 
@@ -182,13 +184,13 @@ def momentum_kept():
     """|L| of tumbling bodies over ten thousand steps."""
     shape = Box((1.0, 0.7, 0.4))
     draw = np.random.default_rng(2)
-    spins, turns = 5.0 * draw.normal(size=(8, 3)), rotations.random(draw, 8)
+    spins, orientations = 5.0 * draw.normal(size=(8, 3)), rotations.random(draw, 8)
 
     def change(trace):
         start, end = trace.spin_momentum[0, :, 0], trace.spin_momentum[-1, :, 0]
         return np.linalg.norm(end, axis=1) / np.linalg.norm(start, axis=1) - 1.0
 
-    def turn(trace):
+    def rotation_of_momentum(trace):
         unit = trace.spin_momentum[:, :, 0]
         unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
         return np.linalg.norm(unit - unit[0], axis=-1).max(axis=0)
@@ -198,11 +200,11 @@ def momentum_kept():
         "angular momentum of tumbling bodies over 10 000 steps",
         "conservation",
         measured("error of |L|", "", change, absolute(1e-5)),
-        measured("rotation of L", "rad", turn, at_most(5e-5)),
+        measured("rotation of L", "rad", rotation_of_momentum, at_most(5e-5)),
         of=spinning(
             shape,
             spins,
-            turns,
+            orientations,
             duration=10_000 * DT,
             every=100,
             variants=tuple(f"{np.linalg.norm(spin):.3g} rad/s" for spin in spins),
@@ -214,7 +216,7 @@ def free_fall():
     """Symplectic Euler must fall by g dt^2 n (n + 1) / 2; the other components of the motion are uniform."""
     rates = (60, 240, 1000)
     velocity = np.array([[0.0, 0.0, 0.0], [3.0, -2.0, 4.0]])
-    ball = body(Sphere(0.1), angular_velocity=(5, 0, 0), orientation=turn_about((1, 2, 3), 40.0))
+    ball = body(Sphere(0.1), angular_velocity=(5, 0, 0), orientation=orientation_about((1, 2, 3), 40.0))
     scene = in_space(ball, gravity=(0, 0, -G))
 
     def discrete(trace):

@@ -5,7 +5,16 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, Miss, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, gain_of_energy, per_env, turn_about
+from warp_rigid.validation.common import (
+    RESTING,
+    G,
+    at_time,
+    downhill,
+    first_time,
+    gain_of_energy,
+    orientation_about,
+    per_env,
+)
 from warp_rigid.validation.experiment import Experiment, Start
 from warp_rigid.validation.solids import cube
 
@@ -45,7 +54,7 @@ def block_on_incline(block, degrees, friction, start=0.0, restitution=0.0, gravi
     half = block.half_extents[2]
     tilt = degrees if mesh else 0.0 * degrees
     down, up = directions(tilt)
-    turn = turn_about((0, 1, 0), tilt)
+    orientation = orientation_about((0, 1, 0), tilt)
     placed = body(block, position=(0, 0, half), restitution=restitution)
 
     def plate(scene):
@@ -55,12 +64,15 @@ def block_on_incline(block, degrees, friction, start=0.0, restitution=0.0, gravi
     starts = [
         per_env("friction", friction),
         Start("position", (half * up - down)[:, None], bodies=[1]),
-        Start("orientation", turn[:, None], bodies=[1]),
+        Start("orientation", orientation[:, None], bodies=[1]),
         Start("linear_velocity", (start[:, None] * down)[:, None], bodies=[1]),
     ]
     if mesh:
         scene = in_space(plate, placed, gravity=(0, 0, -gravity))
-        starts += [Start("position", (-0.5 * up)[:, None], bodies=[0]), Start("orientation", turn[:, None], bodies=[0])]
+        starts += [
+            Start("position", (-0.5 * up)[:, None], bodies=[0]),
+            Start("orientation", orientation[:, None], bodies=[0]),
+        ]
     else:
         scene = on_ground(placed, restitution=restitution)
         starts.append(Start("gravity", [downhill(angle, gravity) for angle in degrees]))
@@ -79,9 +91,9 @@ def directions(degrees) -> np.ndarray:
 def along(trace, which=0):
     """Displacement downhill (0) or away from the incline (1), (records, envs) [m]."""
     moved = trace.position[:, :, 1] - trace.position[0, :, 1]
-    turn = trace.turns[0, :, 0]
+    rotation = trace.rotation[0, :, 0]
     # The incline is body 0: a tilted mesh, or level ground under tilted gravity.
-    axis = turn[:, :, 0] if which == 0 else turn[:, :, 2]
+    axis = rotation[:, :, 0] if which == 0 else rotation[:, :, 2]
     return np.einsum("nei,ei->ne", moved, axis)
 
 
@@ -299,11 +311,11 @@ def painleve():
     rod = Capsule(0.01, 0.49)
     place = (-0.49 * np.cos(angle), 0, 0.49 * np.sin(angle) + 0.01)
     # The rod leans forward over its dragging tip, as chalk pushed over a board.
-    turn = turn_about((0, 1, 0), -(90 - np.degrees(angle)))
-    scene = on_ground(body(rod, mass=1.0, position=place, orientation=turn, linear_velocity=(1.0, 0, 0)))
+    orientation = orientation_about((0, 1, 0), -(90 - np.degrees(angle)))
+    scene = on_ground(body(rod, mass=1.0, position=place, orientation=orientation, linear_velocity=(1.0, 0, 0)))
 
     def tip_speed(trace):
-        along_rod = trace.turns[:, :, 1, :, 2]
+        along_rod = trace.rotation[:, :, 1, :, 2]
         moving = trace.linear_velocity[:, :, 1] + np.cross(trace.angular_velocity[:, :, 1], -0.49 * along_rod)
         return moving[:, :, 0]
 

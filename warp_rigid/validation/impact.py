@@ -6,7 +6,7 @@ from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, per_env, turn_about
+from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, orientation_about, per_env
 from warp_rigid.validation.experiment import DT, Experiment, Start
 
 NEWTON = "Newton's law of impact, closed form"
@@ -66,8 +66,8 @@ def peak(trace, number):
     """Height of the peak after `number` bounces, (envs,) [m]; NaN if there is none."""
     found = []
     for high, up in zip(height(trace).T, climb(trace).T, strict=True):
-        turn = np.flatnonzero((up[:-1] > 0.0) & (up[1:] <= 0.0))
-        found.append(max(high[turn[number - 1]], high[turn[number - 1] + 1]) if len(turn) >= number else np.nan)
+        apex = np.flatnonzero((up[:-1] > 0.0) & (up[1:] <= 0.0))
+        found.append(max(high[apex[number - 1]], high[apex[number - 1] + 1]) if len(apex) >= number else np.nan)
     return np.array(found)
 
 
@@ -317,8 +317,10 @@ def eccentric():
     arm = 0.499 * np.cos(angle)
     impulse = (1 + restitution) / (1 + arm**2 / inertia)
     surface = {"friction": 0.0, "restitution": restitution}
-    turn = turn_about((0, 1, 0), 60)
-    falling = body(rod, mass=1.0, position=(0, 0, 0.253), orientation=turn, linear_velocity=(0, 0, -1), **surface)
+    orientation = orientation_about((0, 1, 0), 60)
+    falling = body(
+        rod, mass=1.0, position=(0, 0, 0.253), orientation=orientation, linear_velocity=(0, 0, -1), **surface
+    )
 
     def spin_after(t):
         return np.abs(t.angular_velocity[-1, :, 1, 1])

@@ -21,7 +21,7 @@ from warp_rigid.validation.case import (
     measured,
     relative,
 )
-from warp_rigid.validation.common import NO_GRAVITY, G, turn_about
+from warp_rigid.validation.common import NO_GRAVITY, G, orientation_about
 from warp_rigid.validation.experiment import Experiment, Start
 from warp_rigid.validation.towers import tilt
 
@@ -52,7 +52,7 @@ def wedge_mesh(cells=64) -> Mesh:
     return Mesh(*solids.wedge(), sdf_resolution=cells)
 
 
-OVERTURNED = turn_about((0, 1, 0), 180.0)
+OVERTURNED = orientation_about((0, 1, 0), 180.0)
 
 
 def sliding_tips():
@@ -160,10 +160,10 @@ def push_out():
         return Experiment(
             in_space(add, add),
             0.5,
-            tuple(f"{100 * share:g} % of the width, turned by {angle:g} deg" for share, angle in cells),
+            tuple(f"{100 * fraction:g} % of the width, turned by {angle:g} deg" for fraction, angle in cells),
             (
                 Start("position", place[:, None], bodies=[1]),
-                Start("orientation", turn_about((1, 2, 3), degrees)[:, None], bodies=[1]),
+                Start("orientation", orientation_about((1, 2, 3), degrees)[:, None], bodies=[1]),
             ),
             label=name,
             watch_overlap=True,
@@ -171,7 +171,9 @@ def push_out():
 
     experiments = tuple(experiment(name, *row) for name, row in rows.items())
     stuck = experiment("cubes", lambda: cube, ((0.8, 35),))
-    boxes = in_space(*(body(Box(half), position=place, orientation=turn) for half, place, turn in CROSSING))
+    boxes = in_space(
+        *(body(Box(half), position=place, orientation=orientation) for half, place, orientation in CROSSING)
+    )
     crossing = Experiment(boxes, 0.5, ("two boxes whose edges cross",), watch_overlap=True)
     count, of_bunnies = (sum(len(one.variants) for one in some) for some in (experiments, experiments[3:]))
 

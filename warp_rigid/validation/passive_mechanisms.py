@@ -38,12 +38,12 @@ def rows_of(trace: Trace) -> np.ndarray:
     A joint prevents relative motion of its point along axes of its second frame, and rotation about them; a distance
     prevents that along its line. One environment.
     """
-    place, turn, center = (values[:, 0] for values in (trace.position, trace.orientation, trace.center))
+    place, orientation, center = (values[:, 0] for values in (trace.position, trace.orientation, trace.center))
     rows = []
     for entry in trace.scene.joints:
-        points = entry.anchors(place, turn)
+        points = entry.anchors(place, orientation)
         frame = np.array(entry.frame_b.orientation)
-        frame = frame if entry.body_b is None else rotations.multiply(turn[:, entry.body_b], frame)
+        frame = frame if entry.body_b is None else rotations.multiply(orientation[:, entry.body_b], frame)
         axes = np.swapaxes(np.broadcast_to(rotations.matrix(frame), (len(place), 3, 3)), 1, 2)
         prevented = [k for k in range(6) if entry.joint.locked >> k & 1]
         if entry.joint.coordinate == Coordinate.LENGTH:
@@ -67,10 +67,10 @@ def energy_at_pose(trace: Trace, since: float) -> np.ndarray:
     of gravity over the time `since` then [s], and what the joints prevent removed (Leimkuhler and Reich 2004, RATTLE).
     """
     count = len(trace.scene.bodies)
-    turns = trace.turns[:, 0]
-    mass = np.zeros((len(turns), count, 6, 6))
+    rotation = trace.rotation[:, 0]
+    mass = np.zeros((len(rotation), count, 6, 6))
     mass[:, :, :3, :3] = trace.mass[0][:, None, None] * np.eye(3)
-    mass[:, :, 3:, 3:] = turns @ trace.inertia[0] @ np.swapaxes(turns, -1, -2)
+    mass[:, :, 3:, 3:] = rotation @ trace.inertia[0] @ np.swapaxes(rotation, -1, -2)
     momentum_free = np.linalg.inv(mass)
     velocity = np.concatenate(
         [trace.linear_velocity[:, 0] + since * trace.gravity[0], trace.angular_velocity[:, 0]], -1

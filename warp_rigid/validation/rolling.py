@@ -5,7 +5,7 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, at_most, case, measured, relative
-from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, per_env, turn_about
+from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, orientation_about, per_env
 from warp_rigid.validation.experiment import Experiment, Start
 
 COULOMB = "Coulomb's law, closed form"
@@ -116,7 +116,7 @@ def rolling_race():
     experiments, ways = [], []
     for name, shape, inertia in (("sphere", Sphere(0.1), 0.4), ("cylinder", Cylinder(0.1, 0.3), 0.5)):
         needed = np.tan(slope) * inertia / (1 + inertia)
-        scene = on_ground(body(shape, position=(0, 0, 0.1), orientation=turn_about((1, 0, 0), 90)))
+        scene = on_ground(body(shape, position=(0, 0, 0.1), orientation=orientation_about((1, 0, 0), 90)))
         starts = per_env("friction", shares * needed), Start("gravity", downhill(30.0))
         variants = tuple(f"{name}, {share:g} of the friction to roll" for share in shares)
         experiments.append(Experiment(scene, 1.0, variants, starts, every=4))

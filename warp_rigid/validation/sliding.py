@@ -52,8 +52,8 @@ def stop(feet: np.ndarray, height: float, gyration: float, speed: float, spin: f
 
     def rate(state):
         _, _, angle, vx, vy, w = state
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        arm = basis[:, 1:] @ turn.T
+        rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        arm = basis[:, 1:] @ rotation.T
         slip = np.stack([vx - w * arm[:, 1], vy + w * arm[:, 0]], axis=1)
         way = -slip / np.maximum(np.linalg.norm(slip, axis=1), 1e-9)[:, None]
         # Loads a + b . arm over the mass: sum g, and no torque of loads and friction about the horizontal axes.

@@ -90,7 +90,7 @@ def rise(trace: Trace) -> np.ndarray:
 
 def tilt(trace: Trace) -> np.ndarray:
     """Largest angle of a body's upright axis to the vertical at the end, (envs,) [deg]."""
-    return np.degrees(np.arccos(np.clip(trace.turns[-1][:, trace.dynamic, 2, 2], -1, 1))).max(axis=1)
+    return np.degrees(np.arccos(np.clip(trace.rotation[-1][:, trace.dynamic, 2, 2], -1, 1))).max(axis=1)
 
 
 def load_on_ground(trace: Trace) -> np.ndarray:

@@ -78,8 +78,8 @@ def _integrator(problem: PeerProblem) -> str:
 
 def _free(problem: PeerProblem, filling: str) -> list[str]:
     return [
-        f'<body pos="{_list(place)}" quat="{_list(turned)}"><freejoint/>{filling}</body>'
-        for place, turned in zip(problem.position[0], problem.real_first[0], strict=True)
+        f'<body pos="{_list(place)}" quat="{_list(orientation)}"><freejoint/>{filling}</body>'
+        for place, orientation in zip(problem.position[0], problem.real_first[0], strict=True)
     ]
 
 
@@ -89,12 +89,12 @@ def _tree(problem: PeerProblem, parent: int, filling: str) -> str:
     for k, hinge in enumerate(problem.hinges):
         if hinge["parent"] == parent:
             child = hinge["child"]
-            place, turned = _relative(problem, parent, child)
+            place, orientation = _relative(problem, parent, child)
             anchor, frame = hinge["in_child"]
             limits = f'limited="true" range="{_list(np.degrees(hinge["limits"]))}"'
             joint = f'<joint name="hinge{k}" pos="{_list(anchor)}" axis="{_list(_rotate(frame, [1, 0, 0]))}" {limits}/>'
             inside = joint + filling + _tree(problem, child, filling)
-            text += f'<body pos="{_list(place)}" quat="{_list(turned)}">{inside}</body>'
+            text += f'<body pos="{_list(place)}" quat="{_list(orientation)}">{inside}</body>'
     return text
 
 
@@ -105,12 +105,12 @@ def _drive(k: int, hinge: dict) -> str:
 
 def _relative(problem: PeerProblem, parent: int, child: int) -> tuple[np.ndarray, np.ndarray]:
     """Position and real-first orientation of a body at the start, in the frame of its parent."""
-    place, turned = problem.position[0, child], problem.real_first[0, child]
+    place, orientation = problem.position[0, child], problem.real_first[0, child]
     if parent < 0:
-        return place, turned
+        return place, orientation
     back, seen = np.empty(4), np.empty(4)
     mujoco.mju_negQuat(back, problem.real_first[0, parent])
-    mujoco.mju_mulQuat(seen, back, turned)
+    mujoco.mju_mulQuat(seen, back, orientation)
     between = np.empty(3)
     mujoco.mju_rotVecQuat(between, place - problem.position[0, parent], back)
     return between, seen

@@ -131,8 +131,8 @@ def _model(problem: PeerProblem, mesh: newton.Mesh | None) -> newton.ModelBuilde
     for env in range(problem.num_envs):
         world = newton.ModelBuilder()
         _configure(world, problem)
-        for place, turned in zip(problem.position[env], problem.orientation[env], strict=True):
-            body = world.add_body(xform=wp.transform(wp.vec3(*place), wp.quat(*turned)))
+        for place, orientation in zip(problem.position[env], problem.orientation[env], strict=True):
+            body = world.add_body(xform=wp.transform(wp.vec3(*place), wp.quat(*orientation)))
             if mesh is None:
                 hx, hy, hz = problem.half_extents
                 world.add_shape_box(body, hx=hx, hy=hy, hz=hz)
@@ -154,8 +154,8 @@ def _tree(problem: PeerProblem) -> newton.ModelBuilder:
     world = newton.ModelBuilder()
     _configure(world, problem)
     hx, hy, hz = problem.half_extents
-    for place, turned in zip(problem.position[0], problem.orientation[0], strict=True):
-        link = world.add_link(xform=wp.transform(wp.vec3(*place), wp.quat(*turned)))
+    for place, orientation in zip(problem.position[0], problem.orientation[0], strict=True):
+        link = world.add_link(xform=wp.transform(wp.vec3(*place), wp.quat(*orientation)))
         world.add_shape_box(link, hx=hx, hy=hy, hz=hz)
     hinges = [
         world.add_joint_revolute(
@@ -177,8 +177,8 @@ def _tree(problem: PeerProblem) -> newton.ModelBuilder:
 
 
 def _frame(values) -> wp.transform:
-    place, turned = values
-    return wp.transform(wp.vec3(*place), wp.quat(*turned))
+    place, orientation = values
+    return wp.transform(wp.vec3(*place), wp.quat(*orientation))
 
 
 def _configure(builder: newton.ModelBuilder, problem: PeerProblem) -> None:

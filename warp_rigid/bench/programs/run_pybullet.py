@@ -35,8 +35,8 @@ def run(problem: PeerProblem) -> None:
         **seconds,
         "contacts": touching,
     }
-    places, turned = (np.array([[pose[k] for pose in row] for row in poses]) for k in (0, 1))
-    write(figures, places, turned, np.array(speeds))
+    places, orientation = (np.array([[pose[k] for pose in row] for row in poses]) for k in (0, 1))
+    write(figures, places, orientation, np.array(speeds))
 
 
 def _world(pybullet, problem: PeerProblem, path: Path, env: int) -> tuple[int, list[int]]:
@@ -59,8 +59,8 @@ def _world(pybullet, problem: PeerProblem, path: Path, env: int) -> tuple[int, l
     else:
         shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, fileName=str(path), **own)
     bodies = []
-    for place, turned in zip(problem.position[env].tolist(), problem.orientation[env].tolist(), strict=True):
-        body = pybullet.createMultiBody(problem.mass, shape, basePosition=place, baseOrientation=turned, **own)
+    for place, orientation in zip(problem.position[env].tolist(), problem.orientation[env].tolist(), strict=True):
+        body = pybullet.createMultiBody(problem.mass, shape, basePosition=place, baseOrientation=orientation, **own)
         pybullet.changeDynamics(
             body,
             -1,

@@ -51,8 +51,8 @@ def _world(rapier3d, problem: PeerProblem, shapes: list, env: int) -> tuple:
         world.add_collider(_fixed(rapier3d, part).friction(problem.friction))
     mass = rapier3d.MassProperties((0.0, 0.0, 0.0), problem.mass, problem.inertia.tolist())
     handles = []
-    for place, turned in zip(problem.position[env].tolist(), problem.real_first[env].tolist(), strict=True):
-        pose = rapier3d.Isometry3(place, rapier3d.Rotation3.from_quaternion(*turned))
+    for place, orientation in zip(problem.position[env].tolist(), problem.real_first[env].tolist(), strict=True):
+        pose = rapier3d.Isometry3(place, rapier3d.Rotation3.from_quaternion(*orientation))
         body = rapier3d.RigidBody.dynamic().position(pose).can_sleep(False).additional_mass_properties(mass)
         colliders = [
             rapier3d.Collider.new(s).friction(problem.friction).restitution(problem.restitution).density(0.0)

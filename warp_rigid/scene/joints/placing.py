@@ -41,40 +41,40 @@ def place_joint(
     if frames[0] is None or frames[1] is None:
         point_a = finite_vector("anchor", anchors[0])
         point_b = point_a if anchors[1] is None else finite_vector("anchor_b", anchors[1])
-        turn = turn_to(joint.world_axis)
-        frame_a, frame_b = local_frame(a, point_a, turn), local_frame(b, point_b, turn)
+        orientation = rotation_of_x_to(joint.world_axis)
+        frame_a, frame_b = local_frame(a, point_a, orientation), local_frame(b, point_b, orientation)
     else:
         frame_a, frame_b = _checked_frame("frame_a", frames[0]), _checked_frame("frame_b", frames[1])
     _check_anchors(joint, a, b, frame_a, frame_b)
     return JointEntry(joint, body_a, body_b, frame_a, frame_b, **_checked_rest(joint, more))
 
 
-def turn_to(axis: Sequence[float]) -> np.ndarray:
+def rotation_of_x_to(axis: Sequence[float]) -> np.ndarray:
     """Return the shortest rotation of the x axis to a unit vector, as a quaternion (x, y, z, w)."""
     x, y, z = axis
     if x < -0.999999:
         return np.array([0.0, 0.0, 1.0, 0.0])
-    turn = np.array([0.0, -z, y, 1.0 + x])
-    return turn / np.linalg.norm(turn)
+    orientation = np.array([0.0, -z, y, 1.0 + x])
+    return orientation / np.linalg.norm(orientation)
 
 
 def world_frame(body: Any, frame: JointFrame) -> tuple[np.ndarray, np.ndarray]:
     """Return the origin and the orientation of a frame in the world, at the body's initial pose; None is the world."""
     if body is None:
         return np.array(frame.position), np.array(frame.orientation)
-    turn = np.array(body.orientation)
-    origin = np.array(body.position) + rotations.matrix(turn) @ np.array(frame.position)
-    return origin, rotations.multiply(turn, np.array(frame.orientation))
+    orientation = np.array(body.orientation)
+    origin = np.array(body.position) + rotations.matrix(orientation) @ np.array(frame.position)
+    return origin, rotations.multiply(orientation, np.array(frame.orientation))
 
 
-def local_frame(body: Any, point: Sequence[float] | np.ndarray, turn: np.ndarray) -> JointFrame:
+def local_frame(body: Any, point: Sequence[float] | np.ndarray, orientation: np.ndarray) -> JointFrame:
     """Return a frame of the world (3,), (4,) in the frame of a body at its initial pose; None is the world."""
     position = np.array(point, np.float64)
     if body is not None:
         own = np.array(body.orientation)
         position = rotations.rotate(rotations.inverse(own), position - body.position)
-        turn = rotations.multiply(rotations.inverse(own), turn)
-    x, y, z, w = turn.tolist()
+        orientation = rotations.multiply(rotations.inverse(own), orientation)
+    x, y, z, w = orientation.tolist()
     return JointFrame((float(position[0]), float(position[1]), float(position[2])), (x, y, z, w))
 
 

@@ -178,8 +178,8 @@ class Compound(Shape):
         for (shape, position, orientation), rotation in zip(self.children, self._rotations, strict=True):
             for part in shape.parts():
                 place = rotation @ np.array(part.position) + position
-                turned = tuple(rotations.multiply(orientation, part.orientation).tolist())
-                flat.append(replace(part, position=tuple(place.tolist()), orientation=turned))
+                composed = tuple(rotations.multiply(orientation, part.orientation).tolist())
+                flat.append(replace(part, position=tuple(place.tolist()), orientation=composed))
         return flat
 
     def sample_list(self) -> SampleList:

@@ -253,8 +253,8 @@ def _to_triangles(points, corners):
     for start, end in ((a, b), (b, c), (c, a)):
         side, arm = end - start, points[:, None] - start
         inner &= np.einsum("pmk,mk->pm", arm, np.cross(normal, side)) >= 0.0
-        share = np.clip(np.einsum("pmk,mk->pm", arm, side) / np.einsum("mk,mk->m", side, side), 0.0, 1.0)
-        arm = arm - share[..., None] * side
+        along = np.clip(np.einsum("pmk,mk->pm", arm, side) / np.einsum("mk,mk->m", side, side), 0.0, 1.0)
+        arm = arm - along[..., None] * side
         square = np.einsum("pmk,pmk->pm", arm, arm)
         side_arm = np.where((square < nearest)[..., None], arm, side_arm)
         nearest = np.minimum(nearest, square)

@@ -187,13 +187,13 @@ def _drop_repeated(vertices, faces, repairs):
     odd, even = (
         np.bincount(patch, n.sum(axis=1), minlength=len(once)) for n in (met % 2 == 1, (met > 0) & (met % 2 == 0))
     )
-    turn = np.take_along_axis(faces, (np.argmin(faces, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
-    forward = np.bincount(which, turn[:, 1] < turn[:, 2])
+    ordered = np.take_along_axis(faces, (np.argmin(faces, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    forward = np.bincount(which, ordered[:, 1] < ordered[:, 2])
     both = (forward > 0) & (forward < count)
     for alone in np.unique(patch[both & (odd[patch] + even[patch] == 0)]):
         own = patch == alone
         agreed = _agree_winding(once[own], [])
-        once[own] = _turned(agreed, np.full(len(agreed), signed_volume(vertices, agreed) < 0.0))
+        once[own] = _flipped(agreed, np.full(len(agreed), signed_volume(vertices, agreed) < 0.0))
     once = once[~repeated | (odd[patch] >= even[patch])]
     repairs.append(f"dropped {len(faces) - len(once)} repeated faces")
     return once
@@ -229,7 +229,7 @@ def _agree_winding(faces, repairs):
     if not flip.any():
         return faces
     repairs.append(f"turned {int(flip.sum())} faces that disagreed with their neighbours")
-    return _turned(faces, flip)
+    return _flipped(faces, flip)
 
 
 def _face_outward(vertices, faces, repairs):
@@ -246,12 +246,12 @@ def _face_outward(vertices, faces, repairs):
     for k in others:
         own = label == parts[k]
         inverted = (volume[k] < 0.0) != (volume[largest] < 0.0)
-        if inverted and not _is_inside(vertices, faces[own], _turned(faces, flip)[settled]):
+        if inverted and not _is_inside(vertices, faces[own], _flipped(faces, flip)[settled]):
             flip ^= own
         settled |= own
     if flip.any():
         repairs.append(f"turned {int(flip.sum())} faces of an inverted surface outward")
-    return _turned(faces, flip)
+    return _flipped(faces, flip)
 
 
 def _surfaces(vertices, faces):
@@ -277,7 +277,7 @@ def _is_inside(vertices, faces, around) -> bool:
     return bool((distance <= margin).all())
 
 
-def _turned(faces, flip):
+def _flipped(faces, flip):
     """Faces, the chosen ones with their winding reversed."""
     return np.where(flip[:, None], faces[:, ::-1], faces)
 

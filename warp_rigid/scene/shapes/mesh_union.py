@@ -86,14 +86,14 @@ def _partners(vertices, faces, sides):
         backward, onward = group[~forward[group]], group[forward[group]]
         angle = _angles(vertices, faces, ends[group[0]], np.concatenate([onward, backward]))
         # The normal of a face that runs along the edge points to larger angles, and so the solid lies at smaller ones.
-        turn = (angle[: len(onward)][:, None] - angle[len(onward) :][None]) % (2.0 * np.pi)
-        turn[turn < 1e-9] = 2.0 * np.pi
-        turn[shell[onward][:, None] != shell[backward][None]] += 2.0 * np.pi
-        turn[joined[shell[onward]][:, None] != joined[shell[backward]][None]] += 1e-6
+        opening = (angle[: len(onward)][:, None] - angle[len(onward) :][None]) % (2.0 * np.pi)
+        opening[opening < 1e-9] = 2.0 * np.pi
+        opening[shell[onward][:, None] != shell[backward][None]] += 2.0 * np.pi
+        opening[joined[shell[onward]][:, None] != joined[shell[backward]][None]] += 1e-6
         for _ in range(len(onward)):
-            i, j = np.unravel_index(np.argmin(turn), turn.shape)
+            i, j = np.unravel_index(np.argmin(opening), opening.shape)
             partner[onward[i]], partner[backward[j]] = backward[j], onward[i]
-            turn[i], turn[:, j] = np.inf, np.inf
+            opening[i], opening[:, j] = np.inf, np.inf
             one, other = joined[shell[[onward[i], backward[j]]]]
             joined[joined == max(one, other)] = min(one, other)
     return partner

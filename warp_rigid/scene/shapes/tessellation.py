@@ -19,7 +19,7 @@ def icosahedron() -> tuple[np.ndarray, np.ndarray]:
     """Regular icosahedron inscribed in the unit sphere."""
     golden = (1.0 + 5.0**0.5) / 2.0
     rectangle = [[s, t * golden, 0.0] for s in (-1, 1) for t in (-1, 1)]
-    vertices = np.array([np.roll(corner, turn) for turn in range(3) for corner in rectangle])
+    vertices = np.array([np.roll(corner, shift) for shift in range(3) for corner in rectangle])
     return vertices / np.linalg.norm(vertices[0]), hull_triangles(vertices)
 
 
@@ -127,9 +127,9 @@ def wheel(section: np.ndarray, sections: int) -> tuple[np.ndarray, np.ndarray]:
         [np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius), np.broadcast_to(height, (sections, count))],
         axis=-1,
     )
-    turn, corner = (index.reshape(-1) for index in np.indices((sections, count)))
-    next_turn, next_corner = (turn + 1) % sections, (corner + 1) % count
-    places = [(turn, corner), (next_turn, corner), (next_turn, next_corner), (turn, next_corner)]
+    section, corner = (index.reshape(-1) for index in np.indices((sections, count)))
+    next_section, next_corner = (section + 1) % sections, (corner + 1) % count
+    places = [(section, corner), (next_section, corner), (next_section, next_corner), (section, next_corner)]
     quads = np.stack([at_turn * count + at_corner for at_turn, at_corner in places], axis=1)
     return vertices.reshape(-1, 3), triangulate_quads(quads)
 
