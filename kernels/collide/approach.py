@@ -60,6 +60,7 @@ class Approach:
     motion: wp.vec3
     rotation: wp.vec3
     touching: float
+    sag: float
 
 
 @wp.func
@@ -150,6 +151,13 @@ def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State
 
 
 @wp.func
+def sag_of(own: int, other: int, shapes: Shapes):
+    """Depth to which the edges of one mesh may enter another one while their samples do not touch [m]."""
+    sag = wp.max(shapes.shapes[own].sag, shapes.shapes[other].sag)
+    return wp.where(shapes.shapes[own].sag * shapes.shapes[other].sag > 0.0, sag, 0.0)
+
+
+@wp.func
 def approach_from(
     side: int,
     pair: int,
@@ -168,6 +176,7 @@ def approach_from(
     reach = contact_reach(a, b, size, dt, state, motions) + rise
     approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
     approach.rise = rise
+    approach.sag = wp.max(sag_of(approach.own_shape, approach.shape, shapes) + CONTACT_DISTANCE * size, reach)
     approach.speculative = speculative_distance(a, b, size, dt, state, motions)
     return approach
 

@@ -85,6 +85,19 @@ BALL_CENTER = wp.constant(20)
 BALL_FIRST = wp.constant(21)
 BALL_LAST = wp.constant(27)
 
+SLIDE_END = wp.constant(30)
+SLIDE_FIRST = wp.constant(31)
+SLIDE_LAST = wp.constant(36)
+
+NEARER_HALF = wp.constant(0.505)
+"""A point slides along this fraction of an edge; the sample at the other end covers the rest."""
+
+ENOUGH = wp.constant(1.0e-5)
+"""A slide ends when the distance may fall by less than this fraction of the size."""
+
+SAME_FACE = wp.constant(0.5)
+"""Where an edge crosses one of another mesh, the cosine between the faces of that edge exceeds this value."""
+
 
 @wp.struct
 class Search:
@@ -411,6 +424,83 @@ def point_next(search: Search, d: wp.vec4, size: float, flat: int, thin: int):
 
 
 @wp.func
+def begin_slide(search: Search, s: int, turn: wp.quat, weight: float, shapes: Shapes):
+    """Slide a point along the edge on which the distance falls most, if the other shape may be touched there."""
+    lowest = float(0.0)
+    along = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(shapes.samples[s].edge_start, shapes.samples[s].edge_end):
+        way = wp.quat_rotate(turn, shapes.mild_edges[k])
+        fall = wp.dot(search.direction, way)
+        if fall < lowest:
+            lowest = fall
+            along = way
+    length = wp.length(along)
+    if lowest > -FLAT * length or search.distance + NEARER_HALF * lowest > 0.0:
+        return search
+    search.stage = SLIDE_END
+    search.facing = weight * search.normal
+    search.start = search.query
+    search.way = search.query
+    search.along = along / length
+    search.half = NEARER_HALF * length
+    search.left = 0.0
+    n = search.direction
+    search.low = wp.vec4(n[0], n[1], n[2], search.distance)
+    search.slope_low = lowest / length
+    return look_at(search, search.half)
+
+
+@wp.func
+def end_slide(search: Search):
+    """End a slide at the least distance that was found, with the normal of the two faces that meet there."""
+    search.stage = DONE
+    search.query = search.way
+    if search.distance < search.first and wp.dot(gradient(search.low), gradient(search.high)) > SAME_FACE:
+        mixture = search.slope_high * gradient(search.low) - search.slope_low * gradient(search.high)
+        search.direction = wp.normalize(mixture)
+        if search.distance < 0.0:
+            n = search.direction
+            search.distance /= wp.max(wp.dot(gradient(search.low), n), wp.dot(gradient(search.high), n))
+    return search
+
+
+@wp.func
+def slide_next(search: Search, d: wp.vec4, size: float):
+    """The least distance on an edge between the two samples at its ends; none if it falls up to the other end."""
+    curved = False
+    before = search.t
+    if search.stage == SLIDE_END:
+        search.first = search.distance
+        search.right = before
+        search.high = d
+        search.slope_high = slope(d, search.along)
+        if search.slope_high < FLAT:
+            return end_slide(search)
+    else:
+        if d[3] < search.distance:
+            search.distance = d[3]
+            search.direction = gradient(d)
+            search.way = search.query
+        curved = d[3] - search.low[3] - search.slope_low * (before - search.left) > CURVED * (
+            search.right - search.left
+        )
+        if slope(d, search.along) < 0.0:
+            search.left = before
+            search.low = d
+            search.slope_low = slope(d, search.along)
+        else:
+            search.right = before
+            search.high = d
+            search.slope_high = slope(d, search.along)
+    after = next_inside(search, curved)
+    bound = search.low[3] + search.slope_low * (after.t - search.left)
+    if search.stage == SLIDE_LAST or bound > search.distance - ENOUGH * size:
+        return end_slide(search)
+    after.stage = search.stage + 1
+    return after
+
+
+@wp.func
 def clip_to_grid(search: Search, shapes: Shapes, shape: int):
     """Limit an edge's search to the grid of a shape that consists of one: outside, the distance is only a bound.
 
@@ -493,6 +583,7 @@ def bring_to_touch(
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, shape, turn, shift, weight)
+    mild = shapes.shapes[own_shape].sag * shapes.shapes[shape].sag > 0.0
     if radius > 0.0:
         along_edge += ALL_OF_EDGE * search.half
     while search.stage >= 0:
@@ -504,7 +595,9 @@ def bring_to_touch(
             d = ball_distance_to_places(shapes, part, search.query, d, radius, reach, choice)
         search.evaluations += 1
         search.least = wp.min(search.least, d[3])
-        if search.stage >= BALL_CENTER:
+        if search.stage >= SLIDE_END:
+            search = slide_next(search, d, size)
+        elif search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:
             search = edge_next(search, d, reach, radius, size, convex, weight)
@@ -512,6 +605,8 @@ def bring_to_touch(
             search = rim_next(search, d, radius, weight)
         else:
             search = point_next(search, d, size, flat, thin)
+            if mild and search.stage == DONE and search.distance < FAR:
+                search = begin_slide(search, s, turn, weight, shapes)
     return search
 
 
