@@ -14,7 +14,7 @@ from warp_rigid.kernels.collide.convex import (
     solids_of_shapes,
 )
 from warp_rigid.kernels.collide.distance import BORDER, FAR
-from warp_rigid.kernels.collide.samples import Search
+from warp_rigid.kernels.collide.search import Search
 from warp_rigid.kernels.common.team import sync_warp
 from warp_rigid.kernels.schema import Bodies, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import smaller_size

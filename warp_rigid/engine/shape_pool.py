@@ -10,12 +10,11 @@ from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.body_columns import shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
-from warp_rigid.scene.shapes.sampling import Samples
 from warp_rigid.scene.shapes.heightfield import Heightfield, moves
+from warp_rigid.scene.shapes.sampling import Samples
 
 UNBOUNDED = 2.0e9
 """Used for the infinite extents of planes [m]; products with it do not overflow in float32."""
-SAG = np.tan(np.radians(11.25))
 
 
 class Entry(NamedTuple):
@@ -69,7 +68,9 @@ def build_pool(layout: Layout, device: Any) -> Pool:
         "parts": _part_rows(entries, parts, grids, grid_of_part),
         "clusters": _cluster_rows(samples),
         "samples": _sample_rows(samples),
-        "mild_edges": np.concatenate([np.zeros((0, 3), np.float32), *(s.edges[_has_edge(s)] for s in samples)]),
+        "blunt_edges": np.concatenate(
+            [np.zeros((0, 3), np.float32), *(s.blunt_edges[_has_blunt_edge(s)] for s in samples)]
+        ),
         "balls": balls.astype(np.float32),
         "hull": hull.astype(np.float32),
         "grid_value": np.concatenate(grids).astype(np.float32),
@@ -189,7 +190,7 @@ def _shape_rows(entries: list[Entry], parts: list, samples: list) -> np.ndarray:
     rows["cell"] = [
         max((part.grid.spacing for part in group if part.kind == PartKind.GRID), default=0.0) for group in parts
     ]
-    rows["sag"] = [0.5 * _mean_length(s) * SAG for s in samples]
+    rows["dip"] = [s.dip for s in samples]
     rows["rise"] = [shape.top_speed if moves(shape) else 0.0 for shape in shapes]
     return rows
 
@@ -253,16 +254,11 @@ def _sample_rows(samples: list) -> np.ndarray:
     rows = np.zeros(sum(len(s.kind) for s in samples), schema.SampleRecord.numpy_dtype())
     for name in ("point", "normal", "slide", "radius", "kind", "choice"):
         rows[name] = np.concatenate([getattr(s, name) for s in samples])
-    start = exclusive_sums(np.concatenate([np.zeros(0, int), *(_has_edge(s).sum(axis=1) for s in samples)]))
+    start = exclusive_sums(np.concatenate([np.zeros(0, int), *(_has_blunt_edge(s).sum(axis=1) for s in samples)]))
     rows["edge_start"], rows["edge_end"] = start[:-1], start[1:]
     return rows
 
 
-def _mean_length(samples: Samples) -> float:
-    length = np.linalg.norm(samples.edges, axis=2)
-    return float((length**2).sum() / max(length.sum(), 1e-30))
-
-
-def _has_edge(samples: Samples) -> np.ndarray:
-    """Which of the edges of each sample exist, (n, 8)."""
-    return samples.edges.any(axis=2)
+def _has_blunt_edge(samples: Samples) -> np.ndarray:
+    """Which of the blunt edges of each sample exist, (n, 8)."""
+    return samples.blunt_edges.any(axis=2)
