@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.collide.samples import Search
+from warp_rigid.kernels.collide.contact_search import Search
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
@@ -43,7 +43,8 @@ class Approach:
 
     `cut`, `level`: points p of `own`, in its frame, with `cut . p > level` cannot touch; a zero vector if that is not
     known of any. `motion`, `rotation`: a point p of `own`, in the frame of `other`, moves by `motion + rotation x p` in
-    the step. `touching`: gap below which surfaces touch [m]. `speculative`: see `speculative_distance`.
+    the step. `touching`: gap below which surfaces touch [m]. `speculative`: see `speculative_distance`. `searched`:
+    gap up to which samples are searched [m]: the reach, or more where unsampled edges may be nearer.
     """
 
     own: int
@@ -60,6 +61,7 @@ class Approach:
     motion: wp.vec3
     rotation: wp.vec3
     touching: float
+    searched: float
 
 
 @wp.func
@@ -150,6 +152,16 @@ def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State
 
 
 @wp.func
+def dip_of(own: int, other: int, shapes: Shapes):
+    """How much nearer the crossing of unsampled edges may be than the nearest of their four ends [m].
+
+    Edges of lengths l and k, whose faces form the angles a and b, cross at most min(l tan(b / 2), k tan(a / 2)) / 2
+    nearer, which is less than the geometric mean of l tan(a / 2) / 2 and k tan(b / 2) / 2.
+    """
+    return wp.sqrt(shapes.shapes[own].dip * shapes.shapes[other].dip)
+
+
+@wp.func
 def approach_from(
     side: int,
     pair: int,
@@ -168,6 +180,8 @@ def approach_from(
     reach = contact_reach(a, b, size, dt, state, motions) + rise
     approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
     approach.rise = rise
+    dip = dip_of(approach.own_shape, approach.shape, shapes)
+    approach.searched = wp.max(reach, CONTACT_DISTANCE * size + dip)
     approach.speculative = speculative_distance(a, b, size, dt, state, motions)
     return approach
 

@@ -9,7 +9,7 @@ import warp as wp
 from warp_rigid.kernels.collide.approach import TURNED_BACK, Approach
 from warp_rigid.kernels.collide.convex_pairs import border_of
 from warp_rigid.kernels.collide.distance import has_places, has_triangles, is_near_grid, is_nearer
-from warp_rigid.kernels.collide.samples import OVERLAP
+from warp_rigid.kernels.collide.edge_search import OVERLAP
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -75,6 +75,8 @@ def may_touch_mesh(p: wp.vec3, radius: float, approach: Approach, shapes: Shapes
     Lipschitz with constant 1, so on such a path it is at most half of the length at the midpoint.
     """
     near = wp.max(TURNED_BACK * approach.reach, approach.touching + approach.speculative)
+    if approach.searched > approach.reach:
+        near = wp.max(near, approach.searched)
     if is_near_grid(shapes, approach.shape, p, near + radius):
         return True
     way = approach.motion + wp.cross(approach.rotation, p)
@@ -92,7 +94,7 @@ def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes
         return 0
     center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
     radius = shapes.clusters[cluster].radius
-    if out_of_box(center, radius + approach.reach, approach.shape, shapes):
+    if out_of_box(center, radius + approach.searched, approach.shape, shapes):
         return 0
     if has_triangles(shapes, approach.shape):
         return wp.where(may_touch_mesh(center, radius, approach, shapes), 1, 0)
@@ -109,7 +111,7 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
     if lowest - shapes.samples[s].radius > approach.level:
         return False
     p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
-    margin = approach.reach + shapes.samples[s].radius
+    margin = approach.searched + shapes.samples[s].radius
     if shapes.samples[s].kind == SampleKind.EDGE:
         slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
         margin += border_of(approach.own_shape, approach.shape, shapes)
@@ -118,4 +120,4 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
         margin += wp.length(slide)
     elif out_of_box(p, margin, approach.shape, shapes):
         return False
-    return not has_triangles(shapes, approach.shape) or may_touch_mesh(p, margin - approach.reach, approach, shapes)
+    return not has_triangles(shapes, approach.shape) or may_touch_mesh(p, margin - approach.searched, approach, shapes)

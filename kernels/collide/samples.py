@@ -8,6 +8,7 @@ the GPU code small and fast, and its compilation short.
 
 import warp as wp
 
+from warp_rigid.kernels.collide.contact_search import DONE, Search, gradient, look_at, nowhere
 from warp_rigid.kernels.collide.distance import (
     BORDER,
     FAR,
@@ -16,64 +17,31 @@ from warp_rigid.kernels.collide.distance import (
     direction_or_up,
     has_places,
 )
+from warp_rigid.kernels.collide.edge_search import (
+    BALL_CENTER,
+    EDGE_LOW,
+    EDGE_MIDDLE,
+    OPPOSED,
+    OVERLAP,
+    edge_next,
+)
+from warp_rigid.kernels.collide.slide import SLIDE_END, begin_slides, may_slide, next_slide, slide_next
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-
-OPPOSED = wp.constant(0.1)
-"""A vertex or edge can touch only if the cosine of its normal and the contact normal is below this value; it is not
-smaller because vertices and edges have wide normal cones."""
-
-OVERLAP = wp.constant(1.05)
-"""Factor by which edge segments are extended for the search."""
-
-BEYOND = wp.constant(1.01)
-"""Points beyond this many half-lengths belong to the next segment, or lie past the end of the edge."""
-
 ALL_OF_EDGE = wp.constant(2.2)
 """If an edge touches, all of it is within this number of half-lengths of the surface, besides its radius. The axis of a
 rod needs exact distances up to there: it may end outside a grid, where the slope of the bound is wrong."""
-
-STEEP = wp.constant(0.05)
-"""Slope of the distance above which an edge crosses another edge instead of lying along it."""
-
-FLAT = wp.constant(0.01)
-"""Slope of the distance along an edge below which the edge lies flat."""
 
 MUCH_DEEPER = wp.constant(3.0)
 DEEPER = wp.constant(0.1)
 """The distance to the face that a point opposes may be MUCH_DEEPER times as deep as that to the nearest face, plus
 DEEPER times the size."""
 
-CURVED = wp.constant(1.0e-3)
-"""A distance that lies above its tangents by more than this fraction of the interval counts as curved, not kinked."""
-
-FOUND = wp.constant(1.0e-4)
-"""The search along an edge ends when the point moves by less than this fraction of the half-length."""
-
-ASIDE = wp.constant(0.01)
-"""Offset from a crossing at which the gradients on both sides are evaluated, as a fraction of the half-length."""
-
-BESIDE = wp.constant(1.0e-3)
-"""Offset from the point where an edge leaves a face at which the gradient is evaluated, as a fraction of the
-half-length."""
-
 PARALLEL = wp.constant(1.0e-3)
 """An edge whose half-length covers less than this fraction of a grid's side is not clipped to that side."""
-
-DONE = wp.constant(-1)
-
-EDGE_MIDDLE = wp.constant(0)
-EDGE_LOW = wp.constant(1)
-EDGE_HIGH = wp.constant(2)
-EDGE_INSIDE = wp.constant(3)
-EDGE_LAST_INSIDE = wp.constant(9)
-EDGE_CLAMPED = wp.constant(10)
-EDGE_FACING = wp.constant(11)
-EDGE_BEFORE = wp.constant(12)
-EDGE_AFTER = wp.constant(13)
 
 RIM_CENTER = wp.constant(0)
 RIM_LAST_TURN = wp.constant(2)
@@ -81,254 +49,8 @@ RIM_FACING = wp.constant(3)
 
 POINT_AGAIN = wp.constant(1)
 
-BALL_CENTER = wp.constant(20)
 BALL_FIRST = wp.constant(21)
 BALL_LAST = wp.constant(27)
-
-
-@wp.struct
-class Search:
-    """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
-
-    `evaluations`: number of distances so far, for measurements. `least`: the least of them, at most 0.
-    """
-
-    stage: int
-    evaluations: int
-    least: float
-    query: wp.vec3
-    facing: wp.vec3
-    normal: wp.vec3
-    direction: wp.vec3
-    distance: float
-    start: wp.vec3
-    along: wp.vec3
-    half: float
-    first: float
-    last: float
-    crossing: int
-    t: float
-    left: float
-    right: float
-    low: wp.vec4
-    high: wp.vec4
-    slope_low: float
-    slope_high: float
-    turning: float
-    before: wp.vec4
-    way: wp.vec3
-
-
-@wp.func
-def slope(d: wp.vec4, along: wp.vec3):
-    """Slope of a distance along a direction."""
-    return d[0] * along[0] + d[1] * along[1] + d[2] * along[2]
-
-
-@wp.func
-def gradient(d: wp.vec4):
-    """The direction of a distance, its gradient."""
-    return wp.vec3(d[0], d[1], d[2])
-
-
-@wp.func
-def nowhere(search: Search):
-    """End the search without a contact point."""
-    search.stage = DONE
-    search.distance = FAR
-    return search
-
-
-@wp.func
-def look_at(search: Search, t: float):
-    """Evaluate the distance next at parameter t of the edge."""
-    search.t = t
-    search.query = search.start + t * search.along
-    return search
-
-
-@wp.func
-def next_inside(search: Search, curved: bool):
-    """Evaluate next where the tangents at both ends meet or, for a curved distance, where the slope becomes zero."""
-    bend = wp.max(search.slope_high - search.slope_low, 1.0e-6)
-    rise = search.slope_high * search.right - search.slope_low * search.left
-    t = (search.low[3] - search.high[3] + rise) / bend
-    if curved:
-        t = search.left - search.slope_low * (search.right - search.left) / bend
-    return look_at(search, wp.clamp(t, search.left, search.right))
-
-
-@wp.func
-def came_elsewhere(search: Search, distance: float, direction: wp.vec3, size: float, weight: float):
-    """Whether an edge is deep inside, and nearest to a face that it cannot have entered through."""
-    deep = distance < -BORDER * size and wp.dot(direction, search.normal) >= OPPOSED
-    return deep and weight > 0.0 and wp.length_sq(search.facing) == 0.0
-
-
-@wp.func
-def edge_again(search: Search):
-    """Restart an edge's search with the distance to the faces that its normal opposes."""
-    search.facing = search.normal
-    search.crossing = 0
-    search.left = search.first
-    search.right = search.last
-    search.stage = EDGE_LOW
-    return look_at(search, search.left)
-
-
-@wp.func
-def edge_has_ends(search: Search, d: wp.vec4):
-    """With both ends known, test whether the distance has an inner minimum or the edge leaves a face."""
-    search.high = d
-    search.slope_high = slope(d, search.along)
-    search.slope_low = slope(search.low, search.along)
-    low = search.slope_low
-    high = search.slope_high
-    if low > FLAT or high < -FLAT or high - low < 2.0 * FLAT:
-        return nowhere(search)
-    search.turning = 0.5 * (wp.min(low + FLAT, 0.0) + wp.max(high - FLAT, 0.0))
-    if low < -STEEP and high > STEEP:
-        search.turning = 0.0
-        search.crossing = 1
-    search.stage = EDGE_INSIDE
-    return next_inside(search, False)
-
-
-@wp.func
-def stays_above(search: Search, reach: float, convex: int):
-    """Whether an edge is out of reach: the distance to a convex shape lies above its tangents, which meet there."""
-    return convex == 1 and search.low[3] + search.slope_low * (search.t - search.left) > reach
-
-
-@wp.func
-def to_flat_side(search: Search):
-    """Small offset along an edge, from where it leaves a face (where two faces are equally near) onto that face."""
-    left = wp.abs(search.slope_low) < wp.abs(search.slope_high)
-    return wp.where(left, -BESIDE, BESIDE) * search.half * search.along
-
-
-@wp.func
-def edge_found(search: Search, radius: float, convex: int, weight: float):
-    """The point is found. Evaluate next both sides of a crossing, or the faces that a flat edge's normal opposes."""
-    if radius > 0.0 and convex == 0:
-        # The axis of a rod may lie outside a grid where its surface does not.
-        search.start = search.query
-        search.stage = BALL_CENTER
-        return search
-    if search.crossing == 1 and convex == 1:
-        search.stage = EDGE_BEFORE
-        search.query = search.start + (search.t - ASIDE * search.half) * search.along
-        return search
-    search.facing = weight * search.normal
-    search.distance -= radius
-    search.query -= radius * search.direction
-    search.stage = DONE
-    if search.crossing == 0:
-        search.stage = EDGE_FACING
-        search.query += to_flat_side(search)
-    return search
-
-
-@wp.func
-def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float):
-    """The contact normal where an edge crosses an edge of a convex shape, from the gradients on both sides of it.
-
-    The combination of the gradients with zero slope along the edge is perpendicular to both edges. If both faces are at
-    a distance d, the edge moving along this normal n leaves the shape through the face that it meets first, after
-    d / (g . n). If the search is not close enough to the crossing to sample both sides, its two ends are used instead.
-    """
-    if slope(before, search.along) >= 0.0 or slope(after, search.along) <= 0.0:
-        before = search.low
-        after = search.high
-    rise = wp.max(slope(after, search.along), 0.0)
-    fall = wp.max(-slope(before, search.along), 0.0)
-    mixture = rise * gradient(before) + fall * gradient(after)
-    if wp.length_sq(mixture) > 0.0:
-        search.direction = wp.normalize(mixture)
-        if search.distance < 0.0:
-            n = search.direction
-            search.distance /= wp.max(wp.max(wp.dot(gradient(before), n), wp.dot(gradient(after), n)), 0.3)
-    search.stage = DONE
-    search.distance -= radius
-    search.query = search.start + search.t * search.along - radius * search.direction
-    return search
-
-
-@wp.func
-def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: float):
-    """One more round of the search between the ends of an edge segment, or its end."""
-    search.distance = d[3]
-    search.direction = gradient(d)
-    if search.stage == EDGE_CLAMPED:
-        return edge_found(search, radius, convex, weight)
-    before = search.t
-    curved = d[3] - search.low[3] - search.slope_low * (before - search.left) > CURVED * (search.right - search.left)
-    if slope(d, search.along) < search.turning:
-        search.left = before
-        search.low = d
-        search.slope_low = slope(d, search.along)
-    else:
-        search.right = before
-        search.high = d
-        search.slope_high = slope(d, search.along)
-    after = next_inside(search, curved)
-    if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > FOUND * search.half:
-        after.stage = search.stage + 1
-        return after
-    if wp.abs(before) > BEYOND * search.half:
-        return nowhere(search)
-    if wp.abs(before) > search.half:
-        search.stage = EDGE_CLAMPED
-        return look_at(search, wp.clamp(before, -search.half, search.half))
-    return edge_found(search, radius, convex, weight)
-
-
-@wp.func
-def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: float, convex: int, weight: float):
-    """Contact point of an edge segment, between its ends.
-
-    This is the inner minimum of the distance or, for an edge that lies flat, the point where it leaves the face. In
-    both cases the slope along the edge is discontinuous there. The tangents at both ends meet below the curve; the
-    point below which they meet replaces the end on its side. This is exact after one round if two straight edges
-    cross, where the distance is V-shaped. Neighbouring segments overlap slightly, so that there are no gaps between
-    them.
-    """
-    if search.stage == EDGE_MIDDLE:
-        if d[3] > OVERLAP * search.half + reach + radius:
-            return nowhere(search)
-        search.stage = EDGE_LOW
-        return look_at(search, search.left)
-    if search.stage == EDGE_LOW:
-        search.low = d
-        search.stage = EDGE_HIGH
-        return look_at(search, search.right)
-    if search.stage == EDGE_HIGH:
-        deepest = wp.where(d[3] < search.low[3], d, search.low)
-        search = edge_has_ends(search, d)
-        if search.stage == DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
-            return edge_again(search)
-        if search.stage == EDGE_INSIDE and stays_above(search, reach + radius, convex):
-            return nowhere(search)
-        return search
-    if search.stage == EDGE_BEFORE:
-        search.before = d
-        search.stage = EDGE_AFTER
-        search.query = search.start + (search.t + ASIDE * search.half) * search.along
-        return search
-    if search.stage == EDGE_AFTER:
-        search = edge_crossed(search, search.before, d, radius)
-        if came_elsewhere(search, search.distance, search.direction, size, weight):
-            search = edge_again(search)
-        return search
-    if search.stage == EDGE_FACING:
-        if d[3] < search.distance - BORDER * size:
-            return nowhere(search)
-        search.stage = DONE
-        search.query -= to_flat_side(search)
-        search.direction = gradient(d)
-        search.distance = d[3]
-        return search
-    return edge_inside(search, d, radius, convex, weight)
 
 
 @wp.func
@@ -493,6 +215,9 @@ def bring_to_touch(
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, shape, turn, shift, weight)
+    slides = (
+        may_slide(own_shape, shape, shapes) and (kind == SampleKind.POINT or kind == SampleKind.FACE) and radius == 0.0
+    )
     if radius > 0.0:
         along_edge += ALL_OF_EDGE * search.half
     while search.stage >= 0:
@@ -504,7 +229,9 @@ def bring_to_touch(
             d = ball_distance_to_places(shapes, part, search.query, d, radius, reach, choice)
         search.evaluations += 1
         search.least = wp.min(search.least, d[3])
-        if search.stage >= BALL_CENTER:
+        if search.stage >= SLIDE_END:
+            search = slide_next(search, d, size)
+        elif search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:
             search = edge_next(search, d, reach, radius, size, convex, weight)
@@ -512,6 +239,10 @@ def bring_to_touch(
             search = rim_next(search, d, radius, weight)
         else:
             search = point_next(search, d, size, flat, thin)
+            if slides and search.stage == DONE and search.distance < FAR:
+                search = begin_slides(search, weight)
+        if slides and search.stage == DONE and search.last > 0.0:
+            search = next_slide(search, s, turn, shapes)
     return search
 
 

@@ -15,11 +15,13 @@ from warp_rigid.kernels.collide.approach import (
     touch_of,
     velocity_at,
 )
+from warp_rigid.kernels.collide.contact_search import Search, gradient
 from warp_rigid.kernels.collide.course import Course, closing_speed, curvature_of, place_at, placed_course
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.edge_search import OPPOSED
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
-from warp_rigid.kernels.collide.samples import OPPOSED, Search, gradient, place_sample
+from warp_rigid.kernels.collide.samples import place_sample
 from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.symmetry import spin_of_surface
@@ -73,7 +75,7 @@ def place_near_sample(s: int, approach: Approach, parting: bool, shapes: Shapes)
     while again == 1:
         again = 0
         placed = place_sample(
-            shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, approach.reach, weight
+            shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, approach.searched, weight
         )
         if weight > 0.0 and placed.distance >= FAR and placed.least < 0.0:
             if placed.least < -hidden_depth(approach.own_shape, approach.shape, shapes):

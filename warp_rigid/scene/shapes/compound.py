@@ -191,6 +191,7 @@ class Compound(Shape):
             columns["point"] = columns["point"] @ rotation + position
             columns["normal"] = columns["normal"] @ rotation
             columns["slide"] = columns["slide"] @ rotation
+            columns["unsampled_edges"] = columns["unsampled_edges"] @ rotation
             hidden = np.zeros(len(columns["point"]), dtype=bool)
             for other in range(len(self.children)):
                 if other != index:

@@ -11,7 +11,12 @@ from warp_rigid.scene.shapes import topology
 
 CLUSTER_LIMIT = 32
 FEATURE_DEGREES = 30.0
-COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank")
+COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank", "unsampled_edges", "dip")
+MOST_EDGES = 8
+"""Unsampled edges of a point at most; the longest ones."""
+WIDTHS = {"point": (3,), "normal": (3,), "slide": (3,), "unsampled_edges": (MOST_EDGES, 3)}
+FLAT_DEGREES = 0.5
+"""Edges that bend by less are flat."""
 VERTEX, OTHER = 0, 1  # ranks: inside a cluster, vertices come first
 
 
@@ -26,6 +31,8 @@ class Samples:
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
         choice: (n,) int32, of balls and rims: the place on a mesh that each stands for, from 1; else 0.
+        unsampled_edges: (n, 8, 3) float32, from a point of a mesh to the next one on each such edge, else zero [m].
+        dip: how much nearer than the points the unsampled edges may come to others like them [m].
         cluster_start: (c + 1,) int32, where each cluster begins and the last ends.
         cluster_center: (c, 3) float32, centre of the bounding sphere of the samples.
         cluster_radius: (c,) float32, its radius.
@@ -37,6 +44,8 @@ class Samples:
     radius: np.ndarray
     kind: np.ndarray
     choice: np.ndarray
+    unsampled_edges: np.ndarray
+    dip: float
     cluster_start: np.ndarray
     cluster_center: np.ndarray
     cluster_radius: np.ndarray
@@ -53,14 +62,25 @@ class SampleList:
         """An empty list."""
         self._columns = {name: [] for name in COLUMNS}
 
-    def add(self, kind, point, normal=(0, 0, 0), slide=(0, 0, 0), radius=0.0, rank=OTHER, choice=0):
+    def add(
+        self,
+        kind,
+        point,
+        normal=(0, 0, 0),
+        slide=(0, 0, 0),
+        radius=0.0,
+        rank=OTHER,
+        choice=0,
+        unsampled_edges=0.0,
+        dip=0.0,
+    ):
         """Append n samples; each argument is one value for all, or one per sample."""
         point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
         count = len(point)
-        values = (point, normal, slide, radius, kind, choice, rank)
+        values = (point, normal, slide, radius, kind, choice, rank, unsampled_edges, dip)
         for (name, column), value in zip(self._columns.items(), values, strict=True):
-            shape = (count, 3) if name in ("point", "normal", "slide") else (count,)
-            column.append(np.broadcast_to(np.asarray(value), shape))
+            shape = WIDTHS.get(name, ())
+            column.append(np.broadcast_to(np.asarray(value), (count, *shape)))
 
     def add_round(self, kind, center, normal=(0, 0, 0), radius: float = 0.0, rank=OTHER) -> None:
         """Append balls (POINT) or rims (RIM) about points (n, 3), each once for every place on a mesh."""
@@ -84,7 +104,7 @@ class SampleList:
         return cluster_samples(**self.columns())
 
 
-def cluster_samples(point, normal, slide, radius, kind, choice, rank) -> Samples:
+def cluster_samples(point, normal, slide, radius, kind, choice, rank, unsampled_edges, dip) -> Samples:
     """Group samples into tight clusters of at most 32, apart: points with rims, edges, faces, and further places.
 
     Args:
@@ -95,6 +115,8 @@ def cluster_samples(point, normal, slide, radius, kind, choice, rank) -> Samples
         kind: (n,) as in `Samples`.
         choice: (n,) as in `Samples`.
         rank: (n,) order inside a cluster; samples of equal rank keep their order.
+        unsampled_edges: (n, 8, 3) as in `Samples`.
+        dip: (n,) the largest for the unsampled edges of each sample [m].
     """
     points = np.isin(kind, (SampleKind.POINT, SampleKind.RIM, SampleKind.CAP))
     groups = []
@@ -114,6 +136,8 @@ def cluster_samples(point, normal, slide, radius, kind, choice, rank) -> Samples
         radius=_frozen(radius, np.float32),
         kind=_frozen(kind[order], np.int32),
         choice=_frozen(choice[order], np.int32),
+        unsampled_edges=_frozen(unsampled_edges[order], np.float32),
+        dip=float(dip[dip > 0.0].mean()) if dip.any() else 0.0,
         cluster_start=_frozen(start, np.int32),
         cluster_center=_frozen(center, np.float32),
         cluster_radius=_frozen(reach, np.float32),
@@ -183,33 +207,59 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     All vertices (angle-weighted normals); EDGE segments, no longer than the spacing, on boundary
     edges and convex edges of more than 30 degrees if longer than half of the spacing; FACE points
     on the other edges and inside triangles that are longer than the spacing. Concave edges need no
-    EDGE: contact in a notch is with the other body's edge.
+    EDGE: contact in a notch is with the other body's edge. The points at the ends of other convex
+    edges know these unsampled edges.
     """
     edges = topology.find_edges(faces)
     normals, _ = topology.face_normals(vertices, faces)
     edge_normal = topology.edge_normals(edges, normals)
     start, end = vertices[edges.ends[:, 0]], vertices[edges.ends[:, 1]]
     length = np.linalg.norm(end - start, axis=1)
-    sharp = sharp_edges(vertices, faces, edges, normals)
+    sharp, bend = bends(vertices, faces, edges, normals)
+    pieces = np.maximum(np.ceil(length / spacing - 1e-9).astype(np.int64), 1)
+    sampled = sharp & (length > 0.5 * spacing)
+    unsampled = ~sampled & (bend > np.radians(FLAT_DEGREES))
+    along = np.where(unsampled[:, None], (end - start) / pieces[:, None], 0.0)
+    dip = 0.5 * np.linalg.norm(along, axis=1) * np.tan(0.5 * np.minimum(bend, np.radians(FEATURE_DEGREES)))
     collected = SampleList()
-    collected.add(SampleKind.POINT, vertices, topology.vertex_normals(vertices, faces), rank=VERTEX)
-    chosen = np.flatnonzero(sharp & (length > 0.5 * spacing))
-    pieces = np.ceil(length[chosen] / spacing - 1e-9).astype(np.int64)
-    middle, half, segment = split_segments(start[chosen], end[chosen], pieces)
+    of_vertex, dip_of_vertex = _edges_of_vertices(len(vertices), edges.ends, along, dip)
+    normal = topology.vertex_normals(vertices, faces)
+    collected.add(SampleKind.POINT, vertices, normal, rank=VERTEX, unsampled_edges=of_vertex, dip=dip_of_vertex)
+    chosen = np.flatnonzero(sampled)
+    middle, half, segment = split_segments(start[chosen], end[chosen], pieces[chosen])
     collected.add(SampleKind.EDGE, middle, edge_normal[chosen[segment]], half)
     plain = np.flatnonzero(~sharp & (length > spacing))
-    pieces = np.ceil(length[plain] / spacing - 1e-9).astype(np.int64)
-    edge, fraction = _inner_fractions(pieces)
+    edge, fraction = _inner_fractions(pieces[plain])
     chosen = plain[edge]
     point = start[chosen] + fraction[:, None] * (end - start)[chosen]
-    collected.add(SampleKind.FACE, point, edge_normal[chosen])
+    both = np.zeros((len(chosen), MOST_EDGES, 3))
+    both[:, 0], both[:, 1] = along[chosen], -along[chosen]
+    collected.add(SampleKind.FACE, point, edge_normal[chosen], unsampled_edges=both, dip=dip[chosen])
     point, face = _inner_points(vertices, faces, length[edges.face_edge].max(axis=1), spacing)
     collected.add(SampleKind.FACE, point, normals[face])
     return collected
 
 
-def sharp_edges(vertices, faces, edges, normals) -> np.ndarray:
-    """Which edges are boundaries, or convex with more than 30 degrees between the faces, (e,)."""
+def _edges_of_vertices(count: int, ends, along, dip) -> tuple[np.ndarray, np.ndarray]:
+    """Unsampled edges at each vertex, the longest first, (count, 8, 3), and their largest dip, (count,)."""
+    vertex = ends.T.ravel()
+    along = np.concatenate([along, -along])
+    order = np.lexsort((-np.linalg.norm(along, axis=1), vertex))
+    vertex, along = vertex[order], along[order]
+    place = np.arange(len(vertex)) - np.searchsorted(vertex, vertex)
+    kept = place < MOST_EDGES
+    found = np.zeros((count, MOST_EDGES, 3))
+    found[vertex[kept], place[kept]] = along[kept]
+    largest = np.zeros(count)
+    np.maximum.at(largest, ends, dip[:, None])
+    return found, largest
+
+
+def bends(vertices, faces, edges, normals) -> tuple[np.ndarray, np.ndarray]:
+    """Which edges are boundaries, or convex with more than 30 degrees between the faces, (e,); and that angle [rad].
+
+    The angle is 0 for boundaries and negative for concave edges.
+    """
     pairs, shared = topology.face_pairs(edges)
     first, second = normals[pairs[:, 0]], normals[pairs[:, 1]]
     cosine = np.einsum("ij,ij->i", first, second)
@@ -218,7 +268,9 @@ def sharp_edges(vertices, faces, edges, normals) -> np.ndarray:
     convex = np.einsum("ij,ij->i", across, first - second) < 0.0
     sharp = edges.count != 2
     sharp[shared] = convex & (cosine < np.cos(np.radians(FEATURE_DEGREES)))
-    return sharp
+    bend = np.zeros(len(sharp))
+    bend[shared] = np.where(convex, 1.0, -1.0) * np.arccos(np.clip(cosine, -1.0, 1.0))
+    return sharp, bend
 
 
 def _inner_fractions(pieces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

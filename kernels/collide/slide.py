@@ -1,0 +1,123 @@
+"""Contact point search of a mesh's points, which slide along unsampled edges.
+
+Convex edges that bend by less than 30 degrees, or are short, have no samples of their own. Where two of these cross,
+the meshes are nearer than at the samples around. A point near the crossing slides there: along that of its unsampled
+edges on which the distance is least, to where it is.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.contact_search import CURVED, DONE, FLAT, Search, gradient, look_at, next_inside, slope
+from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.schema import Shapes
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+NEARER_HALF = wp.constant(0.505)
+"""A point slides along this fraction of an edge; the sample at the other end covers the rest."""
+
+ENOUGH = wp.constant(1.0e-5)
+"""A slide ends when the distance may fall by less than this fraction of the size."""
+
+SAME_FACE = wp.constant(0.5)
+"""Smallest cosine between the normals of two faces between which the normal of a crossing is mixed."""
+
+SLIDE_END = wp.constant(30)
+SLIDE_LAST = wp.constant(36)
+
+
+@wp.func
+def may_slide(own_shape: int, shape: int, shapes: Shapes):
+    """Whether the points of a shape slide on another one: both have unsampled edges."""
+    return shapes.shapes[own_shape].dip * shapes.shapes[shape].dip > 0.0
+
+
+@wp.func
+def begin_slides(search: Search, weight: float):
+    """Begin the slides of a point from where it is, with the distance to the faces that its normal opposes."""
+    n = search.direction
+    search.before = wp.vec4(n[0], n[1], n[2], search.distance)
+    search.facing = weight * search.normal
+    search.start = search.query
+    search.way = search.query
+    search.last = FAR
+    return search
+
+
+@wp.func
+def next_slide(search: Search, s: int, turn: wp.quat, shapes: Shapes):
+    """Slide along the edge of a point on which the distance falls most, after those before, if it may be less there."""
+    steepest = float(0.0)
+    edge = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(shapes.samples[s].edge_start, shapes.samples[s].edge_end):
+        along = wp.quat_rotate(turn, shapes.unsampled_edges[k])
+        fall = -wp.dot(gradient(search.before), along)
+        if fall > steepest and fall < search.last:
+            steepest = fall
+            edge = along
+    length = wp.length(edge)
+    search.stage = DONE
+    search.query = search.way
+    if steepest <= FLAT * length or search.before[3] - NEARER_HALF * steepest > wp.min(search.distance, 0.0):
+        return search
+    search.stage = SLIDE_END
+    search.last = steepest
+    search.first = search.distance
+    search.along = edge / length
+    search.left = 0.0
+    search.low = search.before
+    search.slope_low = -steepest / length
+    return look_at(search, NEARER_HALF * length)
+
+
+@wp.func
+def end_slide(search: Search):
+    """End a slide. A crossing has the normal of both edges: that mixture of the normals of two faces.
+
+    The distance is that at which the edge leaves the faces along this normal, as in `edge_crossed`.
+    """
+    search.stage = DONE
+    before = gradient(search.low)
+    after = gradient(search.high)
+    if search.distance < search.first and wp.dot(before, after) > SAME_FACE:
+        n = wp.normalize(search.slope_high * before - search.slope_low * after)
+        search.direction = n
+        if search.distance < 0.0:
+            search.distance /= wp.max(wp.dot(before, n), wp.dot(after, n))
+    return search
+
+
+@wp.func
+def is_curved(search: Search, d: wp.vec4):
+    """Whether the distance along an edge is curved before its point, and not kinked."""
+    rise = d[3] - search.low[3] - search.slope_low * (search.t - search.left)
+    return rise > CURVED * (search.right - search.left)
+
+
+@wp.func
+def slide_next(search: Search, d: wp.vec4, size: float):
+    """The least distance on the nearer half of an edge; none if the distance falls further on."""
+    curved = False
+    rise = slope(d, search.along)
+    if search.stage == SLIDE_END and rise < FLAT:
+        return end_slide(search)
+    if search.stage > SLIDE_END:
+        curved = is_curved(search, d)
+    if d[3] < search.distance:
+        search.distance = d[3]
+        search.direction = gradient(d)
+        search.way = search.query
+    if rise < 0.0:
+        search.left = search.t
+        search.low = d
+        search.slope_low = rise
+    else:
+        search.right = search.t
+        search.high = d
+        search.slope_high = rise
+    after = next_inside(search, curved)
+    bound = search.low[3] + search.slope_low * (after.t - search.left)
+    if search.stage == SLIDE_LAST or bound > search.distance - ENOUGH * size:
+        return end_slide(search)
+    after.stage = search.stage + 1
+    return after
