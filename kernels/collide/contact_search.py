@@ -85,3 +85,41 @@ def next_inside(search: Search, curved: bool):
     if curved:
         t = search.left - search.slope_low * (search.right - search.left) / bend
     return look_at(search, wp.clamp(t, search.left, search.right))
+
+
+@wp.func
+def is_curved(search: Search, d: wp.vec4):
+    """Whether the distance along an edge is curved before the present point, and not kinked."""
+    rise = d[3] - search.low[3] - search.slope_low * (search.t - search.left)
+    return rise > CURVED * (search.right - search.left)
+
+
+@wp.func
+def replace_end(search: Search, d: wp.vec4, turning: float):
+    """Replace the end on the side of the present point, by whether the slope there is below `turning`."""
+    if slope(d, search.along) < turning:
+        search.left = search.t
+        search.low = d
+        search.slope_low = slope(d, search.along)
+    else:
+        search.right = search.t
+        search.high = d
+        search.slope_high = slope(d, search.along)
+    return search
+
+
+@wp.func
+def cross_faces(search: Search, before: wp.vec3, after: wp.vec3, rise: float, fall: float):
+    """The contact normal where an edge crosses an edge, from the normals of the two faces that meet there.
+
+    The combination of the normals with zero slope along the crossing edge is perpendicular to both edges. If both faces
+    are at a distance d, the edge moving along this normal n leaves the shape through the face that it meets first,
+    after d / (g . n).
+    """
+    mixture = rise * before + fall * after
+    if wp.length_sq(mixture) > 0.0:
+        n = wp.normalize(mixture)
+        search.direction = n
+        if search.distance < 0.0:
+            search.distance /= wp.max(wp.max(wp.dot(before, n), wp.dot(after, n)), 0.3)
+    return search

@@ -3,14 +3,16 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import (
-    CURVED,
     DONE,
     FLAT,
     Search,
+    cross_faces,
     gradient,
+    is_curved,
     look_at,
     next_inside,
     nowhere,
+    replace_end,
     slope,
 )
 from warp_rigid.kernels.collide.distance import BORDER
@@ -127,23 +129,16 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
 
 @wp.func
 def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float):
-    """The contact normal where an edge crosses an edge of a convex shape, from the gradients on both sides of it.
+    """The contact where an edge crosses an edge of a convex shape, from the gradients on both sides of it.
 
-    The combination of the gradients with zero slope along the edge is perpendicular to both edges. If both faces are at
-    a distance d, the edge moving along this normal n leaves the shape through the face that it meets first, after
-    d / (g . n). If the search is not close enough to the crossing to sample both sides, its two ends are used instead.
+    If the search is not close enough to the crossing to sample both sides, its two ends are used instead.
     """
     if slope(before, search.along) >= 0.0 or slope(after, search.along) <= 0.0:
         before = search.low
         after = search.high
     rise = wp.max(slope(after, search.along), 0.0)
     fall = wp.max(-slope(before, search.along), 0.0)
-    mixture = rise * gradient(before) + fall * gradient(after)
-    if wp.length_sq(mixture) > 0.0:
-        search.direction = wp.normalize(mixture)
-        if search.distance < 0.0:
-            n = search.direction
-            search.distance /= wp.max(wp.max(wp.dot(gradient(before), n), wp.dot(gradient(after), n)), 0.3)
+    search = cross_faces(search, gradient(before), gradient(after), rise, fall)
     search.stage = DONE
     search.distance -= radius
     search.query = search.start + search.t * search.along - radius * search.direction
@@ -158,15 +153,8 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     if search.stage == EDGE_CLAMPED:
         return edge_found(search, radius, convex, weight)
     before = search.t
-    curved = d[3] - search.low[3] - search.slope_low * (before - search.left) > CURVED * (search.right - search.left)
-    if slope(d, search.along) < search.turning:
-        search.left = before
-        search.low = d
-        search.slope_low = slope(d, search.along)
-    else:
-        search.right = before
-        search.high = d
-        search.slope_high = slope(d, search.along)
+    curved = is_curved(search, d)
+    search = replace_end(search, d, search.turning)
     after = next_inside(search, curved)
     if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > FOUND * search.half:
         after.stage = search.stage + 1

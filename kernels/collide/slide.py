@@ -7,7 +7,18 @@ edges on which the distance is least, to where it is.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.contact_search import CURVED, DONE, FLAT, Search, gradient, look_at, next_inside, slope
+from warp_rigid.kernels.collide.contact_search import (
+    DONE,
+    FLAT,
+    Search,
+    cross_faces,
+    gradient,
+    is_curved,
+    look_at,
+    next_inside,
+    replace_end,
+    slope,
+)
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.schema import Shapes
 
@@ -72,49 +83,26 @@ def next_slide(search: Search, s: int, turn: wp.quat, shapes: Shapes):
 
 @wp.func
 def end_slide(search: Search):
-    """End a slide. A crossing has the normal of both edges: that mixture of the normals of two faces.
-
-    The distance is that at which the edge leaves the faces along this normal, as in `edge_crossed`.
-    """
+    """End the slide along an edge. A crossing that was found has the normal of both edges."""
     search.stage = DONE
     before = gradient(search.low)
     after = gradient(search.high)
     if search.distance < search.first and wp.dot(before, after) > SAME_FACE:
-        n = wp.normalize(search.slope_high * before - search.slope_low * after)
-        search.direction = n
-        if search.distance < 0.0:
-            search.distance /= wp.max(wp.dot(before, n), wp.dot(after, n))
+        search = cross_faces(search, before, after, search.slope_high, -search.slope_low)
     return search
-
-
-@wp.func
-def is_curved(search: Search, d: wp.vec4):
-    """Whether the distance along an edge is curved before its point, and not kinked."""
-    rise = d[3] - search.low[3] - search.slope_low * (search.t - search.left)
-    return rise > CURVED * (search.right - search.left)
 
 
 @wp.func
 def slide_next(search: Search, d: wp.vec4, size: float):
     """The least distance on the nearer half of an edge; none if the distance falls further on."""
-    curved = False
-    rise = slope(d, search.along)
-    if search.stage == SLIDE_END and rise < FLAT:
+    if search.stage == SLIDE_END and slope(d, search.along) < FLAT:
         return end_slide(search)
-    if search.stage > SLIDE_END:
-        curved = is_curved(search, d)
+    curved = search.stage > SLIDE_END and is_curved(search, d)
     if d[3] < search.distance:
         search.distance = d[3]
         search.direction = gradient(d)
         search.way = search.query
-    if rise < 0.0:
-        search.left = search.t
-        search.low = d
-        search.slope_low = rise
-    else:
-        search.right = search.t
-        search.high = d
-        search.slope_high = rise
+    search = replace_end(search, d, 0.0)
     after = next_inside(search, curved)
     bound = search.low[3] + search.slope_low * (after.t - search.left)
     if search.stage == SLIDE_LAST or bound > search.distance - ENOUGH * size:
