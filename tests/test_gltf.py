@@ -13,6 +13,7 @@ from PIL import Image
 import warp_rigid as wr
 from tests.fakes import FakeSimulator
 from tests.oracles import rotation_matrix
+from tests.textured_scene import MAP, textured_scene
 from warp_rigid.commands import cli
 from warp_rigid.render.appearance import spread_of
 from warp_rigid.render.textures import embedded_image
@@ -140,20 +141,9 @@ def textured(tmp_path_factory):
     The texture coordinates are a linear map of the places. Also the pixels of the image.
     """
     folder = tmp_path_factory.mktemp("textured")
-    pixels = np.random.default_rng(5).integers(0, 256, (4, 8, 3)).astype(np.uint8)
-    Image.fromarray(pixels).save(folder / "image.png")
-    box = trimesh.creation.box((1, 1, 1))
-    mesh = wr.Mesh(box.vertices, box.faces, 16, uv=box.vertices @ MAP.T)
-    pair = wr.Compound([(wr.Box((0.2, 0.2, 0.2)), (0, 0, 2), (0, 0, 0, 1)), (mesh, (0, 0, 0), (0, 0, 0, 1))])
-    scene = wr.Scene()
-    for place, shape in enumerate((mesh, mesh, mesh, pair)):
-        scene.add_body(shape, position=(2.0 * place, 0, 0), name=f"body_{place}")
-    scene.looks = {k: Look((0.1, 0.2, 0.3), 0.25, 0.5, folder / "image.png") for k in (0, 1, 3)}
+    scene, pixels = textured_scene(folder)
     wr.export_gltf(wr.record(FakeSimulator(scene), 2), folder / "film.glb")
     return folder / "film.glb", pixels
-
-
-MAP = np.array([[0.25, 0.5, -1.0], [0.75, -0.125, 0.5]])
 
 
 def test_images_are_embedded_once_and_texture_coordinates_run_downward(textured):

@@ -8,6 +8,7 @@ import trimesh
 from PIL import Image
 
 import warp_rigid as wr
+from tests.textured_scene import MAP, textured_scene
 from tests.usd_tools import start_of
 from warp_rigid.render.film import film_from_recording
 from warp_rigid.scene.look import Look
@@ -15,20 +16,10 @@ from warp_rigid.viewer.instances import Instances
 from warp_rigid.viewer.page import opacity_of_walls, start_server, stop_server
 from warp_rigid.viewer.textured_mesh import textured_mesh
 
-MAP = np.array([[0.25, 0.5, -1.0], [0.75, -0.125, 0.5]])
-
 
 def film_with_images(folder, size=(8, 4)):
     """Two bodies with an image, one without and a compound of which a part has texture coordinates; and the pixels."""
-    pixels = np.random.default_rng(5).integers(0, 256, (*size[::-1], 3)).astype(np.uint8)
-    Image.fromarray(pixels).save(folder / "image.png")
-    box = trimesh.creation.box((1, 1, 1))
-    mesh = wr.Mesh(box.vertices, box.faces, 16, uv=box.vertices @ MAP.T)
-    pair = wr.Compound([(wr.Box((0.2, 0.2, 0.2)), (0, 0, 2), (0, 0, 0, 1)), (mesh, (0, 0, 0), (0, 0, 0, 1))])
-    scene = wr.Scene()
-    for place, shape in enumerate((mesh, mesh, mesh, pair)):
-        scene.add_body(shape, position=(2.0 * place, 0, 0))
-    scene.looks = {k: Look((0.1, 0.2, 0.3), image=folder / "image.png") for k in (0, 1, 3)}
+    scene, pixels = textured_scene(folder, size)
     return film_from_recording(start_of(scene)), pixels
 
 
