@@ -76,6 +76,7 @@ def may_touch_mesh(p: wp.vec3, radius: float, approach: Approach, shapes: Shapes
     """
     near = wp.max(TURNED_BACK * approach.reach, approach.touching + approach.speculative)
     if approach.searched > approach.reach:
+        # An unsampled edge may touch although the sample at its end does not come near.
         near = wp.max(near, approach.searched)
     if is_near_grid(shapes, approach.shape, p, near + radius):
         return True
