@@ -261,4 +261,4 @@ def _sample_rows(samples: list) -> np.ndarray:
 
 def _has_unsampled_edge(samples: Samples) -> np.ndarray:
     """Which of the unsampled edges of each sample exist, (n, 8)."""
-    return samples.unsampled_edges.any(axis=2)
+    return np.asarray(samples.unsampled_edges.any(axis=2))
