@@ -13,11 +13,22 @@ from warp_rigid.engine.loading import STEP
 
 ROOT = Path(__file__).resolve().parents[1]
 
-WARM_SECONDS = 2.0
+WARM_IMPORTS = 5.0
+"""A warm start may cost as much processor time as so many processes that only import Warp, each 0.4 s on an idle
+machine: 3.8 to 4.3 of them now. Most of it is reading kernels.
+"""
+
 COLD_KERNELS = 15.0
 """A cold start may cost as much processor time as so many processes that compile one small kernel, each 2.4 s on an
 idle machine: 8.7 to 9.5 of them now, and up to 12.7 where other programs share the cores. The number of modules tells
 whether kernels are compiled that are not needed.
+"""
+
+IMPORT = """
+import time
+import warp as wp
+wp.init()
+print(time.process_time())
 """
 
 ONE_KERNEL = """
@@ -64,22 +75,27 @@ SILENT = {
 """Programs by what starts Warp in them."""
 
 
+def processor_seconds(program, variables=None):
+    """What a process costs [s], which prints it."""
+    command = [sys.executable, "-W", "ignore", "-c", program]
+    environment = {**os.environ, **(variables or {})}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    return float(done.stdout.splitlines()[-1])
+
+
 @pytest.mark.quiet
 def test_a_warm_start_is_quick(device):
     first_frame("stack:8", device)
-    cost = min((first_frame("stack:8", device) for _ in range(2)), key=lambda found: found["processor_seconds"])
-    assert cost["processor_seconds"] < WARM_SECONDS
-    assert cost["modules"] == len(STEP)
+    costs = [first_frame("stack:8", device) for _ in range(3)]
+    one = min(processor_seconds(IMPORT) for _ in range(3))
+    assert min(cost["processor_seconds"] for cost in costs) < WARM_IMPORTS * one
+    assert {cost["modules"] for cost in costs} == {len(STEP)}
 
 
 @pytest.mark.long
 @pytest.mark.quiet
 def test_a_cold_start_keeps_its_budget(tmp_path):
-    environment = {**os.environ, KERNELS: str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", ONE_KERNEL], capture_output=True, text=True, check=True, env=environment
-    )
-    one = float(done.stdout.splitlines()[-1])
+    one = processor_seconds(ONE_KERNEL, {KERNELS: str(tmp_path)})
     cost = start_up("stack:8", "cpu")
     assert cost["cold"]["modules"] == len(STEP)
     assert cost["warm"]["processor_seconds"] < cost["cold"]["processor_seconds"] < COLD_KERNELS * one

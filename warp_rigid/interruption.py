@@ -20,7 +20,7 @@ from typing import Any
 __all__ = ["STATUS", "end", "end_at_once", "is_of_command", "keeping", "needs_telling", "received", "watched"]
 
 STATUS = 130
-AGAIN, LONGEST = 0.2, 0.6
+AGAIN, LONGEST = 0.2, 0.5
 """Time after which an interruption is raised again, and after which the process ends [s]."""
 
 _state = {"watched": False, "told": False, "keeping": 0, "ended": False}
