@@ -511,7 +511,7 @@ Graph = layout(
     ),
     level_count=Remembered(int, "envs", "", "highest level of a body with an active constraint"),
     colors=Field(wp.uint32, "bodies", "", "bit mask of the colours used at a body"),
-    bid=Field(int, "bodies", "", "highest priority of the constraints that bid for a colour at a body"),
+    bid=Field(wp.int64, "bodies", "", "highest priority of the constraints that bid for a colour at a body"),
     color=Field(int, "pairs", "", "colour; -1 for a constraint that is not active or not coloured yet"),
     color_before=Field(int, "pairs", "", "`color` of the last step"),
     tally=Field(int, f"envs, {COLORS}", "", "constraints of a colour, then the next free place of the colour"),
