@@ -65,7 +65,7 @@ SampleRecord = record(
     radius=Field(float, "", "m", "radius of a sphere around the sample, or of a rim"),
     kind=Field(int, "", "", "a SampleKind"),
     choice=Field(int, "", "", "of a ball or rim on a mesh: the place that it stands for, from 1; 0: the nearest place"),
-    edge_start=Field(int, "", "", "first blunt edge at a point of a mesh"),
+    edge_start=Field(int, "", "", "first unsampled edge at a point of a mesh"),
     edge_end=Field(int, "", "", "one past the last"),
 )
 
@@ -87,7 +87,7 @@ ShapeRecord = record(
     ball_start=Field(int, "", "", "first inner ball, the largest one"),
     ball_end=Field(int, "", "", "one past the last"),
     cell=Field(float, "", "m", "widest cell of the distance grids of its meshes; 0 without a mesh"),
-    dip=Field(float, "", "m", "how much nearer than its samples its blunt edges may come to others like them"),
+    dip=Field(float, "", "m", "how much nearer than its samples its unsampled edges may come to others like them"),
     rise=Field(float, "", "m/s", "largest speed of the surface relative to the body; 0 except for moving ground"),
 )
 
@@ -99,8 +99,8 @@ Shapes = layout(
     parts=Field(PartRecord, "parts", "", "signed distance functions of the shapes"),
     clusters=Field(ClusterRecord, "clusters", "", "sample clusters of the shapes"),
     samples=Field(SampleRecord, "samples", "", "surface samples of the shapes"),
-    blunt_edges=Field(
-        wp.vec3, "blunt_edges", "m", "from a point of a mesh to the other end of each of its blunt edges"
+    unsampled_edges=Field(
+        wp.vec3, "unsampled_edges", "m", "from a point of a mesh to the other end of each of its unsampled edges"
     ),
     balls=Field(wp.vec4, "balls", "m", "inner balls: centre and radius; radius 0 if the shape has no inside"),
     hull=Field(wp.vec3, "hull_vertices", "m", "vertices of convex meshes, in the shape's frame"),

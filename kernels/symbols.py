@@ -9,7 +9,7 @@ SYMBOLS = {
     "clusters": "sample clusters in the pool",
     "samples": "surface samples in the pool",
     "balls": "inner balls of the shapes in the pool",
-    "blunt_edges": "blunt edges of meshes in the pool, twice each",
+    "unsampled_edges": "unsampled edges of meshes in the pool, twice each",
     "hull_vertices": "vertices of convex meshes in the pool",
     "nodes": "grid nodes in the pool",
     "tree_nodes": "nodes of trees of triangles in the pool",

@@ -44,7 +44,7 @@ class Approach:
     `cut`, `level`: points p of `own`, in its frame, with `cut . p > level` cannot touch; a zero vector if that is not
     known of any. `motion`, `rotation`: a point p of `own`, in the frame of `other`, moves by `motion + rotation x p` in
     the step. `touching`: gap below which surfaces touch [m]. `speculative`: see `speculative_distance`. `searched`:
-    gap up to which samples are searched [m]: the reach, or more where blunt edges may be nearer.
+    gap up to which samples are searched [m]: the reach, or more where unsampled edges may be nearer.
     """
 
     own: int
@@ -153,7 +153,7 @@ def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State
 
 @wp.func
 def dip_of(own: int, other: int, shapes: Shapes):
-    """How much nearer the crossing of blunt edges may be than the nearest of their four ends [m].
+    """How much nearer the crossing of unsampled edges may be than the nearest of their four ends [m].
 
     Edges of lengths l and k, whose faces form the angles a and b, cross at most min(l tan(b / 2), k tan(a / 2)) / 2
     nearer, which is less than the geometric mean of l tan(a / 2) / 2 and k tan(b / 2) / 2.

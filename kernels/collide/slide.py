@@ -1,8 +1,8 @@
-"""Contact point search of a mesh's points, which slide along blunt edges.
+"""Contact point search of a mesh's points, which slide along unsampled edges.
 
-A blunt edge is a convex one that bends by less than 30 degrees; it has no samples of its own. Where it crosses one of
-another mesh, the distance is less than at the samples around. A point near the crossing slides there: along that of its
-blunt edges on which the distance falls most, to where it is least.
+Convex edges that bend by less than 30 degrees, or are short, have no samples of their own. Where two of these cross,
+the meshes are nearer than at the samples around. A point near the crossing slides there: along that of its unsampled
+edges on which the distance falls most, to where it is least.
 """
 
 import warp as wp
@@ -19,7 +19,7 @@ ENOUGH = wp.constant(1.0e-5)
 """A slide ends when the distance may fall by less than this fraction of the size."""
 
 SAME_FACE = wp.constant(0.5)
-"""Where an edge crosses a blunt edge of another mesh, the cosine between the normals of the other's faces is larger."""
+"""Smallest cosine between the normals of two faces between which the normal of a crossing is mixed."""
 
 SLIDE_END = wp.constant(30)
 SLIDE_LAST = wp.constant(36)
@@ -27,7 +27,7 @@ SLIDE_LAST = wp.constant(36)
 
 @wp.func
 def may_slide(own_shape: int, shape: int, shapes: Shapes):
-    """Whether the points of a shape slide on another one: both have blunt edges."""
+    """Whether the points of a shape slide on another one: both have unsampled edges."""
     return shapes.shapes[own_shape].dip * shapes.shapes[shape].dip > 0.0
 
 
@@ -37,7 +37,7 @@ def begin_slide(search: Search, s: int, turn: wp.quat, weight: float, shapes: Sh
     steepest = float(0.0)
     edge = wp.vec3(0.0, 0.0, 0.0)
     for k in range(shapes.samples[s].edge_start, shapes.samples[s].edge_end):
-        along = wp.quat_rotate(turn, shapes.blunt_edges[k])
+        along = wp.quat_rotate(turn, shapes.unsampled_edges[k])
         fall = -wp.dot(search.direction, along)
         if fall > steepest:
             steepest = fall

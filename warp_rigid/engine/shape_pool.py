@@ -68,8 +68,8 @@ def build_pool(layout: Layout, device: Any) -> Pool:
         "parts": _part_rows(entries, parts, grids, grid_of_part),
         "clusters": _cluster_rows(samples),
         "samples": _sample_rows(samples),
-        "blunt_edges": np.concatenate(
-            [np.zeros((0, 3), np.float32), *(s.blunt_edges[_has_blunt_edge(s)] for s in samples)]
+        "unsampled_edges": np.concatenate(
+            [np.zeros((0, 3), np.float32), *(s.unsampled_edges[_has_unsampled_edge(s)] for s in samples)]
         ),
         "balls": balls.astype(np.float32),
         "hull": hull.astype(np.float32),
@@ -254,11 +254,11 @@ def _sample_rows(samples: list) -> np.ndarray:
     rows = np.zeros(sum(len(s.kind) for s in samples), schema.SampleRecord.numpy_dtype())
     for name in ("point", "normal", "slide", "radius", "kind", "choice"):
         rows[name] = np.concatenate([getattr(s, name) for s in samples])
-    start = exclusive_sums(np.concatenate([np.zeros(0, int), *(_has_blunt_edge(s).sum(axis=1) for s in samples)]))
+    start = exclusive_sums(np.concatenate([np.zeros(0, int), *(_has_unsampled_edge(s).sum(axis=1) for s in samples)]))
     rows["edge_start"], rows["edge_end"] = start[:-1], start[1:]
     return rows
 
 
-def _has_blunt_edge(samples: Samples) -> np.ndarray:
-    """Which of the blunt edges of each sample exist, (n, 8)."""
-    return samples.blunt_edges.any(axis=2)
+def _has_unsampled_edge(samples: Samples) -> np.ndarray:
+    """Which of the unsampled edges of each sample exist, (n, 8)."""
+    return samples.unsampled_edges.any(axis=2)

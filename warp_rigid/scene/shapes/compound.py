@@ -191,7 +191,7 @@ class Compound(Shape):
             columns["point"] = columns["point"] @ rotation + position
             columns["normal"] = columns["normal"] @ rotation
             columns["slide"] = columns["slide"] @ rotation
-            columns["blunt_edges"] = columns["blunt_edges"] @ rotation
+            columns["unsampled_edges"] = columns["unsampled_edges"] @ rotation
             hidden = np.zeros(len(columns["point"]), dtype=bool)
             for other in range(len(self.children)):
                 if other != index:

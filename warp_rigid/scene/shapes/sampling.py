@@ -11,10 +11,10 @@ from warp_rigid.scene.shapes import topology
 
 CLUSTER_LIMIT = 32
 FEATURE_DEGREES = 30.0
-COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank", "blunt_edges", "dip")
+COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank", "unsampled_edges", "dip")
 MOST_EDGES = 8
-"""Blunt edges of a point at most; the longest ones."""
-WIDTHS = {"point": (3,), "normal": (3,), "slide": (3,), "blunt_edges": (MOST_EDGES, 3)}
+"""Unsampled edges of a point at most; the longest ones."""
+WIDTHS = {"point": (3,), "normal": (3,), "slide": (3,), "unsampled_edges": (MOST_EDGES, 3)}
 FLAT_DEGREES = 0.5
 """Edges that bend by less are flat."""
 VERTEX, OTHER = 0, 1  # ranks: inside a cluster, vertices come first
@@ -31,8 +31,8 @@ class Samples:
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
         choice: (n,) int32, of balls and rims: the place on a mesh that each stands for, from 1; else 0.
-        blunt_edges: (n, 8, 3) float32, from a point of a mesh along each of its blunt edges to the next point; else 0.
-        dip: how much nearer than the points the blunt edges may come to others like them [m].
+        unsampled_edges: (n, 8, 3) float32, from a point of a mesh to the next one on each such edge, else zero [m].
+        dip: how much nearer than the points the unsampled edges may come to others like them [m].
         cluster_start: (c + 1,) int32, where each cluster begins and the last ends.
         cluster_center: (c, 3) float32, centre of the bounding sphere of the samples.
         cluster_radius: (c,) float32, its radius.
@@ -44,7 +44,7 @@ class Samples:
     radius: np.ndarray
     kind: np.ndarray
     choice: np.ndarray
-    blunt_edges: np.ndarray
+    unsampled_edges: np.ndarray
     dip: float
     cluster_start: np.ndarray
     cluster_center: np.ndarray
@@ -63,12 +63,21 @@ class SampleList:
         self._columns = {name: [] for name in COLUMNS}
 
     def add(
-        self, kind, point, normal=(0, 0, 0), slide=(0, 0, 0), radius=0.0, rank=OTHER, choice=0, blunt_edges=0.0, dip=0.0
+        self,
+        kind,
+        point,
+        normal=(0, 0, 0),
+        slide=(0, 0, 0),
+        radius=0.0,
+        rank=OTHER,
+        choice=0,
+        unsampled_edges=0.0,
+        dip=0.0,
     ):
         """Append n samples; each argument is one value for all, or one per sample."""
         point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
         count = len(point)
-        values = (point, normal, slide, radius, kind, choice, rank, blunt_edges, dip)
+        values = (point, normal, slide, radius, kind, choice, rank, unsampled_edges, dip)
         for (name, column), value in zip(self._columns.items(), values, strict=True):
             shape = WIDTHS.get(name, ())
             column.append(np.broadcast_to(np.asarray(value), (count, *shape)))
@@ -95,7 +104,7 @@ class SampleList:
         return cluster_samples(**self.columns())
 
 
-def cluster_samples(point, normal, slide, radius, kind, choice, rank, blunt_edges, dip) -> Samples:
+def cluster_samples(point, normal, slide, radius, kind, choice, rank, unsampled_edges, dip) -> Samples:
     """Group samples into tight clusters of at most 32, apart: points with rims, edges, faces, and further places.
 
     Args:
@@ -106,8 +115,8 @@ def cluster_samples(point, normal, slide, radius, kind, choice, rank, blunt_edge
         kind: (n,) as in `Samples`.
         choice: (n,) as in `Samples`.
         rank: (n,) order inside a cluster; samples of equal rank keep their order.
-        blunt_edges: (n, 8, 3) as in `Samples`.
-        dip: (n,) the largest for the blunt edges of each sample [m].
+        unsampled_edges: (n, 8, 3) as in `Samples`.
+        dip: (n,) the largest for the unsampled edges of each sample [m].
     """
     points = np.isin(kind, (SampleKind.POINT, SampleKind.RIM, SampleKind.CAP))
     groups = []
@@ -127,7 +136,7 @@ def cluster_samples(point, normal, slide, radius, kind, choice, rank, blunt_edge
         radius=_frozen(radius, np.float32),
         kind=_frozen(kind[order], np.int32),
         choice=_frozen(choice[order], np.int32),
-        blunt_edges=_frozen(blunt_edges[order], np.float32),
+        unsampled_edges=_frozen(unsampled_edges[order], np.float32),
         dip=float(dip[dip > 0.0].mean()) if dip.any() else 0.0,
         cluster_start=_frozen(start, np.int32),
         cluster_center=_frozen(center, np.float32),
@@ -198,8 +207,8 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     All vertices (angle-weighted normals); EDGE segments, no longer than the spacing, on boundary
     edges and convex edges of more than 30 degrees if longer than half of the spacing; FACE points
     on the other edges and inside triangles that are longer than the spacing. Concave edges need no
-    EDGE: contact in a notch is with the other body's edge. The points on convex edges that bend
-    less know these blunt edges.
+    EDGE: contact in a notch is with the other body's edge. The points at the ends of other convex
+    edges know these unsampled edges.
     """
     edges = topology.find_edges(faces)
     normals, _ = topology.face_normals(vertices, faces)
@@ -208,14 +217,15 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     length = np.linalg.norm(end - start, axis=1)
     sharp, bend = bends(vertices, faces, edges, normals)
     pieces = np.maximum(np.ceil(length / spacing - 1e-9).astype(np.int64), 1)
-    along = np.where((~sharp & (bend > np.radians(FLAT_DEGREES)))[:, None], (end - start) / pieces[:, None], 0.0)
-    dip = 0.5 * np.linalg.norm(along, axis=1) * np.tan(0.5 * bend)
+    sampled = sharp & (length > 0.5 * spacing)
+    unsampled = ~sampled & (bend > np.radians(FLAT_DEGREES))
+    along = np.where(unsampled[:, None], (end - start) / pieces[:, None], 0.0)
+    dip = 0.5 * np.linalg.norm(along, axis=1) * np.tan(0.5 * np.minimum(bend, np.radians(FEATURE_DEGREES)))
     collected = SampleList()
-    at_vertices = dict(
-        zip(("blunt_edges", "dip"), _edges_of_vertices(len(vertices), edges.ends, along, dip), strict=True)
-    )
-    collected.add(SampleKind.POINT, vertices, topology.vertex_normals(vertices, faces), rank=VERTEX, **at_vertices)
-    chosen = np.flatnonzero(sharp & (length > 0.5 * spacing))
+    of_vertex, dip_of_vertex = _edges_of_vertices(len(vertices), edges.ends, along, dip)
+    normal = topology.vertex_normals(vertices, faces)
+    collected.add(SampleKind.POINT, vertices, normal, rank=VERTEX, unsampled_edges=of_vertex, dip=dip_of_vertex)
+    chosen = np.flatnonzero(sampled)
     middle, half, segment = split_segments(start[chosen], end[chosen], pieces[chosen])
     collected.add(SampleKind.EDGE, middle, edge_normal[chosen[segment]], half)
     plain = np.flatnonzero(~sharp & (length > spacing))
@@ -224,14 +234,14 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     point = start[chosen] + fraction[:, None] * (end - start)[chosen]
     both = np.zeros((len(chosen), MOST_EDGES, 3))
     both[:, 0], both[:, 1] = along[chosen], -along[chosen]
-    collected.add(SampleKind.FACE, point, edge_normal[chosen], blunt_edges=both, dip=dip[chosen])
+    collected.add(SampleKind.FACE, point, edge_normal[chosen], unsampled_edges=both, dip=dip[chosen])
     point, face = _inner_points(vertices, faces, length[edges.face_edge].max(axis=1), spacing)
     collected.add(SampleKind.FACE, point, normals[face])
     return collected
 
 
 def _edges_of_vertices(count: int, ends, along, dip) -> tuple[np.ndarray, np.ndarray]:
-    """Blunt edges at each vertex, the longest first, (count, 8, 3), and their largest dip, (count,)."""
+    """Unsampled edges at each vertex, the longest first, (count, 8, 3), and their largest dip, (count,)."""
     vertex = ends.T.ravel()
     along = np.concatenate([along, -along])
     order = np.lexsort((-np.linalg.norm(along, axis=1), vertex))
