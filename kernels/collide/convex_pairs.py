@@ -4,6 +4,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach, approach_of, contact_reach, touch_of
 from warp_rigid.kernels.collide.contact_reduction import SLOTS, contradictory, deepest_gap
+from warp_rigid.kernels.collide.contact_search import Search
 from warp_rigid.kernels.collide.convex import (
     are_solid,
     deepest_point,
@@ -14,7 +15,6 @@ from warp_rigid.kernels.collide.convex import (
     solids_of_shapes,
 )
 from warp_rigid.kernels.collide.distance import BORDER, FAR
-from warp_rigid.kernels.collide.search import Search
 from warp_rigid.kernels.common.team import sync_warp
 from warp_rigid.kernels.schema import Bodies, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import smaller_size

@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import BORDER
-from warp_rigid.kernels.collide.search import (
+from warp_rigid.kernels.collide.contact_search import (
     CURVED,
     DONE,
     FLAT,
@@ -14,6 +13,7 @@ from warp_rigid.kernels.collide.search import (
     nowhere,
     slope,
 )
+from warp_rigid.kernels.collide.distance import BORDER
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 

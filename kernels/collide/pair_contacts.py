@@ -21,6 +21,7 @@ from warp_rigid.kernels.collide.contact_reduction import (
     offer_sample,
     ranking_of,
 )
+from warp_rigid.kernels.collide.contact_search import Search, gradient
 from warp_rigid.kernels.collide.convex import are_solid, is_solid
 from warp_rigid.kernels.collide.convex_pairs import check_by_axis
 from warp_rigid.kernels.collide.culling import out_of_box
@@ -28,7 +29,6 @@ from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, deepest_hidden, way_out
 from warp_rigid.kernels.collide.samples import MUCH_DEEPER
-from warp_rigid.kernels.collide.search import Search, gradient
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind

@@ -8,6 +8,7 @@ the GPU code small and fast, and its compilation short.
 
 import warp as wp
 
+from warp_rigid.kernels.collide.contact_search import DONE, Search, gradient, look_at, nowhere
 from warp_rigid.kernels.collide.distance import (
     BORDER,
     FAR,
@@ -24,8 +25,7 @@ from warp_rigid.kernels.collide.edge_search import (
     OVERLAP,
     edge_next,
 )
-from warp_rigid.kernels.collide.search import DONE, Search, gradient, look_at, nowhere
-from warp_rigid.kernels.collide.slide import SLIDE_END, begin_slide, may_slide, slide_next
+from warp_rigid.kernels.collide.slide import SLIDE_END, begin_slides, may_slide, next_slide, slide_next
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -215,7 +215,9 @@ def bring_to_touch(
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, shape, turn, shift, weight)
-    slides = may_slide(own_shape, shape, shapes)
+    slides = (
+        may_slide(own_shape, shape, shapes) and (kind == SampleKind.POINT or kind == SampleKind.FACE) and radius == 0.0
+    )
     if radius > 0.0:
         along_edge += ALL_OF_EDGE * search.half
     while search.stage >= 0:
@@ -238,7 +240,9 @@ def bring_to_touch(
         else:
             search = point_next(search, d, size, flat, thin)
             if slides and search.stage == DONE and search.distance < FAR:
-                search = begin_slide(search, s, turn, weight, shapes)
+                search = begin_slides(search, weight)
+        if slides and search.stage == DONE and search.last > 0.0:
+            search = next_slide(search, s, turn, shapes)
     return search
 
 

@@ -2,12 +2,13 @@
 
 Convex edges that bend by less than 30 degrees, or are short, have no samples of their own. Where two of these cross,
 the meshes are nearer than at the samples around. A point near the crossing slides there: along that of its unsampled
-edges on which the distance falls most, to where it is least.
+edges on which the distance is least, to where it is.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.collide.search import CURVED, DONE, FLAT, Search, gradient, look_at, next_inside, slope
+from warp_rigid.kernels.collide.contact_search import CURVED, DONE, FLAT, Search, gradient, look_at, next_inside, slope
+from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -32,40 +33,50 @@ def may_slide(own_shape: int, shape: int, shapes: Shapes):
 
 
 @wp.func
-def begin_slide(search: Search, s: int, turn: wp.quat, weight: float, shapes: Shapes):
-    """Begin to slide along an edge, if the surfaces may meet on it."""
+def begin_slides(search: Search, weight: float):
+    """Begin the slides of a point from where it is, with the distance to the faces that its normal opposes."""
+    n = search.direction
+    search.before = wp.vec4(n[0], n[1], n[2], search.distance)
+    search.facing = weight * search.normal
+    search.start = search.query
+    search.way = search.query
+    search.last = FAR
+    return search
+
+
+@wp.func
+def next_slide(search: Search, s: int, turn: wp.quat, shapes: Shapes):
+    """Slide along the edge of a point on which the distance falls most, after those before, if it may be less there."""
     steepest = float(0.0)
     edge = wp.vec3(0.0, 0.0, 0.0)
     for k in range(shapes.samples[s].edge_start, shapes.samples[s].edge_end):
         along = wp.quat_rotate(turn, shapes.unsampled_edges[k])
-        fall = -wp.dot(search.direction, along)
-        if fall > steepest:
+        fall = -wp.dot(gradient(search.before), along)
+        if fall > steepest and fall < search.last:
             steepest = fall
             edge = along
     length = wp.length(edge)
-    if steepest < FLAT * length or search.distance > NEARER_HALF * steepest:
+    search.stage = DONE
+    search.query = search.way
+    if steepest <= FLAT * length or search.before[3] - NEARER_HALF * steepest > wp.min(search.distance, 0.0):
         return search
     search.stage = SLIDE_END
-    search.facing = weight * search.normal
-    search.start = search.query
-    search.way = search.query
+    search.last = steepest
     search.first = search.distance
     search.along = edge / length
     search.left = 0.0
-    n = search.direction
-    search.low = wp.vec4(n[0], n[1], n[2], search.distance)
+    search.low = search.before
     search.slope_low = -steepest / length
     return look_at(search, NEARER_HALF * length)
 
 
 @wp.func
 def end_slide(search: Search):
-    """End a slide at the least distance, along the normal of both edges: that mixture of the normals of two faces.
+    """End a slide. A crossing has the normal of both edges: that mixture of the normals of two faces.
 
     The distance is that at which the edge leaves the faces along this normal, as in `edge_crossed`.
     """
     search.stage = DONE
-    search.query = search.way
     before = gradient(search.low)
     after = gradient(search.high)
     if search.distance < search.first and wp.dot(before, after) > SAME_FACE:
@@ -85,7 +96,7 @@ def is_curved(search: Search, d: wp.vec4):
 
 @wp.func
 def slide_next(search: Search, d: wp.vec4, size: float):
-    """The least distance on the nearer half of an edge; the point stays where it is if the distance falls on."""
+    """The least distance on the nearer half of an edge; none if the distance falls further on."""
     curved = False
     rise = slope(d, search.along)
     if search.stage == SLIDE_END and rise < FLAT:

@@ -15,13 +15,13 @@ from warp_rigid.kernels.collide.approach import (
     touch_of,
     velocity_at,
 )
+from warp_rigid.kernels.collide.contact_search import Search, gradient
 from warp_rigid.kernels.collide.course import Course, closing_speed, curvature_of, place_at, placed_course
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.edge_search import OPPOSED
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
 from warp_rigid.kernels.collide.samples import place_sample
-from warp_rigid.kernels.collide.search import Search, gradient
 from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.symmetry import spin_of_surface

@@ -13,11 +13,11 @@ the time, and pairs have very different numbers of them.
 
 import warp as wp
 
+from warp_rigid.kernels.collide.contact_search import gradient, slope
 from warp_rigid.kernels.collide.course import CLOSE_ENOUGH, DEPTH, FAST, Course, Passage, closing_speed, place_at
 from warp_rigid.kernels.collide.culling import matters, out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import Suspects
-from warp_rigid.kernels.collide.search import gradient, slope
 from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import PartKind, SampleKind
