@@ -198,7 +198,7 @@ def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, sta
 
 @wp.func
 def check_residual(env: int, dt: float, motions: Motions, graph: Graph, state: State, envs: Environments):
-    """Compare the residual of the last step with what gravity adds to a velocity in it.
+    """Compare the recent residual with what gravity adds to a velocity in it.
 
     It is not done where most bodies in contact have fallen: the impulses of a pile converge over several steps. A
     change with which sweeps end is not large, however weak gravity is.
@@ -217,7 +217,7 @@ def check_residual(env: int, dt: float, motions: Motions, graph: Graph, state: S
                 most = speed
                 fastest = b - first
     large = wp.max(UNSOLVED * gained, STILL)
-    checks = wp.where(placed > 0 and graph.residual[env] > large, envs.unsolved[env] + 1, 0)
+    checks = wp.where(placed > 0 and envs.recent_residual[env] > large, envs.unsolved[env] + 1, 0)
     envs.unsolved[env] = checks
     if checks >= UNSOLVED_CHECKS:
         warn(env, WarningKind.RESIDUAL, fastest, envs)

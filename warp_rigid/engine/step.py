@@ -333,7 +333,7 @@ class Stages:
         self._per_body(integrate.integrate_positions, [self.dt, bodies, self.motions, self.envs], [self.state])
         if self.bounded:
             self._per_body(integrate.keep_inside, [bodies, self.motions], [self.state, self.envs])
-        self._per_env(integrate.close_step, [], [self.envs])
+        self._per_env(integrate.close_step, [self.pools.graph], [self.envs])
         self.joints.end()
 
     @stage
