@@ -44,7 +44,8 @@ class Approach:
     `cut`, `level`: points p of `own`, in its frame, with `cut . p > level` cannot touch; a zero vector if that is not
     known of any. `motion`, `rotation`: a point p of `own`, in the frame of `other`, moves by `motion + rotation x p` in
     the step. `touching`: gap below which surfaces touch [m]. `speculative`: see `speculative_distance`. `searched`:
-    gap up to which samples are searched [m]: the reach, or more where unsampled edges may be nearer.
+    gap up to which samples are searched [m]: the reach, or more where unsampled edges may be nearer. `load`: see
+    `load_between`.
     """
 
     own: int
@@ -62,6 +63,7 @@ class Approach:
     rotation: wp.vec3
     touching: float
     searched: float
+    load: wp.vec3
 
 
 @wp.func
@@ -137,6 +139,15 @@ def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions:
 
 
 @wp.func
+def load_between(a: int, b: int, frame: int, state: State, motions: Motions):
+    """Sum of the accelerations of two bodies, in the frame of one of them [m/s^2].
+
+    Bodies that stand on each other tip over that part of their contact to which it points.
+    """
+    return wp.quat_rotate_inv(state.orientation[frame], motions.acceleration[a] + motions.acceleration[b])
+
+
+@wp.func
 def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State):
     """Relative pose of `own` in the frame of `other`."""
     approach = Approach()
@@ -183,6 +194,7 @@ def approach_from(
     dip = dip_of(approach.own_shape, approach.shape, shapes)
     approach.searched = wp.max(reach, CONTACT_DISTANCE * size + dip)
     approach.speculative = speculative_distance(a, b, size, dt, state, motions)
+    approach.load = load_between(a, b, approach.other, state, motions)
     return approach
 
 

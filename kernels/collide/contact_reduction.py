@@ -54,6 +54,12 @@ TIE = wp.constant(1.0e-6)
 """A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
 size, so that rounding errors have no effect."""
 
+FIRST_COSINE, FIRST_SINE = wp.constant(0.9), wp.constant(0.43588989)
+"""Of the angle from the tangent to the first direction. Boxes have corners, and no edges, in the eight directions."""
+
+SLOPING = wp.constant(0.025)
+"""Share of a load along the contact from which it has a direction there: a slope of 1.4 degrees."""
+
 AGAINST = wp.constant(-0.8)
 """Two contact normals with a cosine below this oppose each other."""
 
@@ -63,13 +69,15 @@ class Ranking:
     """How the gaps of a pair's samples count.
 
     `upright`, `tipped`: weights of a gap in every other direction, and in those between. `deepest`, `furthest`: overlap
-    and gap beyond which all count as equal [m].
+    and gap beyond which all count as equal [m]. `load`: acceleration of the bodies in the frame of the second one; a
+    zero vector if the directions do not depend on it.
     """
 
     upright: float
     tipped: float
     deepest: float
     furthest: float
+    load: wp.vec3
 
 
 @wp.func
@@ -110,10 +118,23 @@ def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
 
 
 @wp.func
+def tangent_of_directions(n: wp.vec3, load: wp.vec3):
+    """The tangent relative to which the eight directions are fixed: the first of them is that of a load, if it has one.
+
+    In that direction bodies tip over. The eight directions find all corners of a box, but not those of a round face.
+    """
+    along = load - wp.dot(load, n) * n
+    if wp.length(along) <= SLOPING * wp.length(load):
+        return tangent_of(n)
+    along = wp.normalize(along)
+    return FIRST_COSINE * along - FIRST_SINE * wp.cross(n, along)
+
+
+@wp.func
 def extent(k: int, x: float, y: float):
     """Extent of a point (x, y) of the tangent plane in one of the eight directions."""
-    c = float(0.9)
-    s = float(0.43588989)
+    c = float(FIRST_COSINE)
+    s = float(FIRST_SINE)
     if k % 2 == 1:
         c = 0.32817533
         s = 0.94461734
@@ -137,7 +158,7 @@ def offer_sample(
     """Offer a touching sample, in the second body's frame, to the slots of its patch; a lane updates its own slots."""
     patch = patch_for(pair, touch.normal, lane, lanes, pairs)
     n = pairs.patch_normal[pair, patch]
-    u = tangent_of(n)
+    u = tangent_of_directions(n, ranking.load)
     x = wp.dot(touch.position, u)
     y = wp.dot(touch.position, wp.cross(n, u))
     for k in range(lane, SLOTS, lanes):

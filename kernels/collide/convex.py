@@ -95,6 +95,12 @@ def is_solid(shapes: Shapes, shape: int):
 
 
 @wp.func
+def may_have_many_corners(shapes: Shapes, shape: int):
+    """Whether a shape is a convex solid other than a box: its faces may be round or have many corners."""
+    return is_solid(shapes, shape) and shapes.parts[shapes.shapes[shape].part_start].kind != PartKind.BOX
+
+
+@wp.func
 def are_solid(a: int, b: int, shapes: Shapes):
     """Whether two shapes are convex solids."""
     return is_solid(shapes, a) and is_solid(shapes, b)

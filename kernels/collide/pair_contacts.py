@@ -12,7 +12,14 @@ own slots.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import REUSE_TRAVEL, Touch, smaller_approach, touch_of, travel
+from warp_rigid.kernels.collide.approach import (
+    REUSE_TRAVEL,
+    Touch,
+    load_between,
+    smaller_approach,
+    touch_of,
+    travel,
+)
 from warp_rigid.kernels.collide.contact_reduction import (
     Ranking,
     contradictory,
@@ -22,7 +29,7 @@ from warp_rigid.kernels.collide.contact_reduction import (
     ranking_of,
 )
 from warp_rigid.kernels.collide.contact_search import Search, gradient
-from warp_rigid.kernels.collide.convex import are_solid, is_solid
+from warp_rigid.kernels.collide.convex import are_solid, is_solid, may_have_many_corners
 from warp_rigid.kernels.collide.convex_pairs import check_by_axis
 from warp_rigid.kernels.collide.culling import out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
@@ -273,6 +280,8 @@ def choose(
     turn = dt * wp.length(state.angular_velocity[a] - state.angular_velocity[b])
     corners = is_solid(shapes, bodies.shape[a]) or is_solid(shapes, bodies.shape[b])
     ranking = ranking_of(travel(a, b, dt, 0.0, state, motions), turn, size, corners)
+    if may_have_many_corners(shapes, bodies.shape[a]) or may_have_many_corners(shapes, bodies.shape[b]):
+        ranking.load = load_between(a, b, b, state, motions)
     offered = offer_near_samples(pair, ranking, size, lane, lanes, near, pairs)
     closing = offered & 1
     sync_warp(lanes)

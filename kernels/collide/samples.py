@@ -47,6 +47,12 @@ RIM_CENTER = wp.constant(0)
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
 
+FLAT = wp.constant(5.0e-4)
+"""Sine of the tilt below which a rim has no deepest point. Rounding errors are a thousandth of it."""
+
+LOADED = wp.constant(0.02)
+"""A rim that lies flat touches where the load points, as if it were tilted by this times the load's share along it."""
+
 POINT_AGAIN = wp.constant(1)
 
 BALL_FIRST = wp.constant(21)
@@ -54,8 +60,8 @@ BALL_LAST = wp.constant(27)
 
 
 @wp.func
-def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
-    """The deepest point of a circle about `along`; none if it lies flat on the surface."""
+def rim_next(search: Search, d: wp.vec4, radius: float, load: wp.vec3, weight: float):
+    """The deepest point of a circle about `along`; where it lies flat, that to which a load points, or none."""
     if search.stage == RIM_FACING:
         search.stage = DONE
         search.direction = gradient(d)
@@ -64,8 +70,9 @@ def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
     if d[3] >= FAR:
         return nowhere(search)
     n = gradient(d)
-    down = wp.dot(n, search.along) * search.along - n
-    if wp.length(down) < 0.05:
+    lean = n - LOADED * wp.normalize(load)
+    down = wp.dot(lean, search.along) * search.along - lean
+    if wp.length(down) < FLAT:
         return nowhere(search)
     search.query = search.start + radius * wp.normalize(down)
     search.stage += 1
@@ -193,7 +200,15 @@ def begin_search(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.ve
 
 @wp.func
 def bring_to_touch(
-    shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float, weight: float
+    shapes: Shapes,
+    s: int,
+    own_shape: int,
+    shape: int,
+    turn: wp.quat,
+    shift: wp.vec3,
+    reach: float,
+    load: wp.vec3,
+    weight: float,
 ):
     """Contact point of sample s of `own_shape` on `shape`, in the frame of `shape`.
 
@@ -236,7 +251,7 @@ def bring_to_touch(
         elif kind == SampleKind.EDGE:
             search = edge_next(search, d, reach, radius, size, convex, weight)
         elif kind == SampleKind.RIM:
-            search = rim_next(search, d, radius, weight)
+            search = rim_next(search, d, radius, load, weight)
         else:
             search = point_next(search, d, size, flat, thin)
             if slides and search.stage == DONE and search.distance < FAR:
@@ -262,14 +277,22 @@ def opposed(cosine: float, kind: int, other: int):
 
 @wp.func
 def place_sample(
-    shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float, weight: float
+    shapes: Shapes,
+    s: int,
+    own_shape: int,
+    shape: int,
+    turn: wp.quat,
+    shift: wp.vec3,
+    reach: float,
+    load: wp.vec3,
+    weight: float,
 ):
     """Contact point of sample s; with weight 1, the distance is FAR if the sample does not oppose the surface.
 
     An edge that ends on a face without leaving it is not a contact: the distance to the faces that it opposes is not
     its true distance.
     """
-    found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, reach, weight)
+    found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, reach, load, weight)
     other = shapes.parts[shapes.shapes[shape].part_start].kind
     if weight > 0.0 and not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
         found.distance = FAR

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import Touch, approach_of, touch_of
+from warp_rigid.kernels.collide.approach import Touch, approach_of, load_between, touch_of
 from warp_rigid.kernels.collide.convex_pairs import touch_along
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE
@@ -164,7 +164,8 @@ def touch_again(key: int, pair: int, shapes: Shapes, bodies: Bodies, state: Stat
     parting = is_parting(pair, shapes, bodies, pairs)
     weight = wp.where(parting, 0.0, 1.0)
     own = approach.own_shape
-    placed = place_sample(shapes, key / 2, own, approach.shape, approach.turn, approach.shift, FAR, weight)
+    load = load_between(a, b, approach.other, state, motions)
+    placed = place_sample(shapes, key / 2, own, approach.shape, approach.turn, approach.shift, FAR, load, weight)
     touch = touch_of(placed, side, approach.other, state)
     if parting:
         touch.normal = wp.quat_rotate(state.orientation[b], pairs.axis[pair])

@@ -34,10 +34,11 @@ def list_pairs(threads: int, envs: Environments, pairs: Pairs, constraints: Cons
 
 @wp.func
 def store_constraint(k: int, constraints: Constraints, graph: Graph):
-    """Store the supports, colour and start index of constraints, for comparison in the next step."""
+    """Store the number of rows, supports, colour and start index of constraints, for comparison in the next step."""
     last = constraints.start.shape[0] - 1
     if k < constraints.start[last]:
-        graph.supports_before[k] = wp.where(is_active(k, constraints), graph.supports[k], -1)
+        constraints.row_count_before[k] = constraints.row_count[k]
+        graph.supports_before[k] = graph.supports[k]
         graph.color_before[k] = graph.color[k]
     if k <= last:
         constraints.start_before[k] = constraints.start[k]

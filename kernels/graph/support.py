@@ -66,10 +66,12 @@ def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constr
 
 @wp.func
 def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, graph: Graph):
-    """Whether an active constraint was active in the last step too, at the same index and with the same supports."""
+    """Whether an active constraint had as many rows and the same supports in the last step, at the same index."""
     place = constraints.start_before[env] + k - constraints.start[env]
     last = constraints.last[k]
-    return last >= 0 and last == place and graph.supports_before[last] == supports
+    if last < 0 or last != place:
+        return False
+    return constraints.row_count_before[last] == constraints.row_count[k] and graph.supports_before[last] == supports
 
 
 @wp.kernel

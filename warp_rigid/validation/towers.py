@@ -8,7 +8,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scene.shapes import Box, Cylinder, Mesh, Sphere
 from warp_rigid.scenes.builders import grounds, piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene
@@ -19,6 +19,7 @@ from warp_rigid.validation.case import (
     Cases,
     Check,
     Curve,
+    Miss,
     absolute,
     at_most,
     case,
@@ -27,11 +28,13 @@ from warp_rigid.validation.case import (
 )
 from warp_rigid.validation.common import G, largest_rise
 from warp_rigid.validation.experiment import Experiment, Start, Trace
+from warp_rigid.validation.solids import extrude
 
 STATICS = "statics, closed form"
 MODES = ("two_pass", "one_pass", "off")
 HALF = 0.1
 """Half the width of most boxes [m], whose mass is 8 kg."""
+FEW_CONTACTS = "a patch keeps the furthest of its touching samples in eight directions"
 OWN = 1e-4
 """Permitted displacement of a stack [m]."""
 
@@ -45,6 +48,7 @@ def cases(quick: bool) -> Cases:
         tall_stack(20 if quick else 50, 1.0 if quick else 10.0),
         spheres(1.0 if quick else 10.0),
         leaning_towers(5.0),
+        toppling(4 if quick else 16),
         pyramid(8 if quick else 20, 1.0 if quick else 10.0),
         falling_towers(2.0 if quick else 6.0),
         falling_piles(6.0 if quick else 12.0, 20 if quick else 40),
@@ -289,6 +293,66 @@ def leaning_towers(duration):
         moves("two_pass, cold", 3e-5),
         of=experiment,
         curve=Curve("height of the top cube", "m", lambda t: t.position[:, :, 10, 2]),
+    )
+
+
+def round_and_prisms() -> dict[str, tuple[Any, float, int]]:
+    """Solids of radius 0.1 m: height over radius, and number of sides, 0 if round, by their names."""
+
+    def prism(sides, height):
+        angle = 2.0 * np.pi * np.arange(sides) / sides
+        base = 0.1 * np.column_stack([np.cos(angle), np.sin(angle)])
+        fan = [(0, k, k + 1) for k in range(1, sides - 1)]
+        return Mesh(*extrude(base, fan, 0.1 * height))
+
+    cylinders = {f"cylinder, h/r {h}": (Cylinder(0.1, 0.05 * h), h, 0) for h in (2, 4, 10)}
+    return {**cylinders, "prism of 6 sides": (prism(6, 4), 4, 6), "prism of 64 sides": (prism(64, 4), 4, 64)}
+
+
+def toppling(directions: int):
+    """A solid on level ground under tilted gravity topples when its weight points beyond the edge of its base."""
+    solids = round_and_prisms()
+    angle = 2.0 * np.pi * (np.arange(directions) + 0.3) / directions
+    ratios = np.array([0.97, 0.98, 0.99, 0.9955, 1.0045])
+
+    def experiment(name):
+        solid, height, sides = solids[name]
+        within = np.remainder(angle, 2.0 * np.pi / sides) - np.pi / sides if sides else 0.0
+        edge = np.cos(np.pi / sides) / np.cos(within) if sides else np.ones(directions)
+        slope = np.outer(2.0 / height * edge, ratios)
+        pull = G / np.sqrt(1.0 + slope**2)
+        along = (pull * slope)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None]
+        gravity = np.concatenate([along, -pull[..., None]], axis=2).reshape(-1, 3)
+        low = 0.0 if sides else 0.05 * height
+        scene = on_ground(body(solid, position=(0.0, 0.0, low), friction=3.0), friction=3.0)
+        variants = tuple(f"{name}, {np.degrees(a):.1f} deg, {ratio:g}" for a in angle for ratio in ratios)
+        return Experiment(scene, variants=variants, starts=(Start("gravity", gravity),), duration=2.0, every=24)
+
+    def limits(traces):
+        """Largest ratio at which each solid stands in each direction, as at all smaller ones."""
+        upright = np.concatenate([trace.rotation[-1, :, 1, 2, 2] > 0.99 for trace in traces])
+        standing = np.cumprod(upright.reshape(-1, len(ratios)), axis=1).sum(axis=1)
+        return np.concatenate([[0.0], ratios])[standing]
+
+    def check(first, last, miss=None):
+        chosen = slice(first * directions, last * directions)
+        return Check(
+            "largest slope at which it stands, over that of statics",
+            "",
+            lambda traces: limits(traces)[chosen],
+            relative(0.005),
+            1.0,
+            labels=[f"{name}, {np.degrees(a):.1f} deg" for name in list(solids)[first:last] for a in angle],
+            miss=miss,
+        )
+
+    return case(
+        "V103",
+        "toppling of cylinders and prisms",
+        "statics: the weight points to the edge of the base",
+        check(0, 4),
+        check(4, 5, Miss(FEW_CONTACTS, 0.011)),
+        of=[experiment(name) for name in solids],
     )
 
 
