@@ -96,8 +96,11 @@ def is_solid(shapes: Shapes, shape: int):
 
 @wp.func
 def may_have_many_corners(shapes: Shapes, shape: int):
-    """Whether a shape is a convex solid other than a box: its faces may be round or have many corners."""
-    return is_solid(shapes, shape) and shapes.parts[shapes.shapes[shape].part_start].kind != PartKind.BOX
+    """Whether a shape has faces that are round or may have many corners: a cylinder or a convex mesh."""
+    kind = shapes.parts[shapes.shapes[shape].part_start].kind
+    return shapes.shapes[shape].hull_end > shapes.shapes[shape].hull_start or (
+        shapes.shapes[shape].convex == 1 and kind == PartKind.CYLINDER
+    )
 
 
 @wp.func

@@ -35,11 +35,11 @@ class BenchOptions:
         ),
     ] = None
     envs: Annotated[str, typer.Option(help="Numbers of environments, such as 1024,4096.")] = "1"
-    substeps: Annotated[str, typer.Option(help="Numbers of steps per frame of 1/60 s, such as 1,4.")] = "4"
+    substeps: Annotated[str, typer.Option(help="Numbers of time steps per frame of 1/60 s, such as 1,4.")] = "4"
     frames: Annotated[int | None, typer.Option(help="Number of timed frames. Default: 60.")] = None
     settle: Annotated[int | None, typer.Option(help="Number of untimed frames before them. Default: 120.")] = None
     phases: Annotated[
-        bool, typer.Option("--phases", help="Time the first second, the second second, and a second at rest.")
+        bool, typer.Option("--phases", help="Time the first and the second second, and a second at rest.")
     ] = False
     until: Annotated[
         float | None, typer.Option(help="With --phases: latest start of the last second, in seconds. Default: 10.")
@@ -91,13 +91,11 @@ class BenchOptions:
 def bench_command(options: BenchOptions) -> int:
     """Measure scenes: environment frames/s, body steps/s, time per stage, contacts, capacity used, solution quality.
 
-    Sleeping is off by default. The settling frames are not timed.
-
     Other engines simulate the same initial states for the same number of frames.
     The overlap of their final states is measured with the same code.
-    On the CPU this engine uses all cores and the others one; ratios there compare processor time.
+    On the CPU this engine uses all cores and the others one; ratios compare processor time.
 
-    With several numbers of environments it says why the cost of one environment changes.
+    With several numbers of environments it reports why the cost per environment changes.
 
     With --phases each scene runs from its start until it rests: moving bodies cost more than resting ones.
     """

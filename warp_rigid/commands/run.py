@@ -54,7 +54,7 @@ class RunOptions:
     envs: Envs = None
     frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None
     fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0
-    substeps: Annotated[int | None, typer.Option(help="Steps per frame; sets dt.")] = None
+    substeps: Annotated[int | None, typer.Option(help="Time steps per frame; sets dt.")] = None
     device: Device = None
     seed: Seed = None
     assignments: Annotated[
@@ -62,7 +62,7 @@ class RunOptions:
         typer.Option(
             "--set",
             metavar="NAME=VALUE",
-            help="Scene parameter, setting or body property; repeatable. "
+            help="Scene parameter, setting, or property of bodies, joints or force fields; repeatable. "
             "A list NAME=A,B,C sets one value per environment.",
         ),
     ] = None
@@ -70,7 +70,9 @@ class RunOptions:
         False
     )
     output: Annotated[str | None, typer.Option("-o", "--output", help="Animation: .usdc, .usda, .usdz or .glb.")] = None
-    usd_envs: Annotated[str | None, typer.Option(help="Environments in animations and images: 0,5,7 or all.")] = None
+    usd_envs: Annotated[
+        str | None, typer.Option(help="Environments in animations and images, such as 0,5,7, or all.")
+    ] = None
     usd_profile: Annotated[
         str, typer.Option(help="animation (instances), scene (with physics) or auto (scene for up to 2000 bodies).")
     ] = "auto"
@@ -83,16 +85,17 @@ class RunOptions:
     ] = "single"
     usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Include contact points and impulses.")] = False
     picture: Annotated[str | None, typer.Option(help="Image of the last frame, .png.")] = None
-    film: Annotated[str | None, typer.Option(help="Video, .gif or .mp4.")] = None
+    film: Annotated[str | None, typer.Option(help="Video that ends when the bodies are at rest, .gif or .mp4.")] = None
     contact_sheet: Annotated[str | None, typer.Option(help="Image of eight frames, .png.")] = None
     html: Annotated[str | None, typer.Option(help="Standalone page that plays the animation, .html.")] = None
     camera: Annotated[str | None, typer.Option(help=CAMERA_HELP)] = None
     color: Annotated[str, typer.Option(help="Colour bodies by body, environment, level, speed or asleep.")] = "body"
     checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file. Default: SCENE.ckpt.")] = None
-    checkpoint_every: Annotated[int | None, typer.Option(help="Write a checkpoint every so many frames.")] = None
+    checkpoint_every: Annotated[int | None, typer.Option(help="Number of frames between checkpoints.")] = None
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint if it exists.")] = False
     memory_limit: Annotated[
-        str | None, typer.Option(help="Bytes such as 8000000000, or a fraction of the device memory such as 0.5.")
+        str | None,
+        typer.Option(help="Limit in bytes, such as 8000000000, or as a fraction of the device memory, such as 0.5."),
     ] = None
     as_json: AsJson = False
 

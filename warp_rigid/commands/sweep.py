@@ -24,7 +24,7 @@ class SweepOptions:
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUES",
-            help="Sweep axis, repeatable: scene parameter, setting or body property. VALUES: 0.1:1.0:10 (first, last, "
+            help="Axis, repeatable: scene parameter, setting or property. VALUES: 0.1:1.0:10 (first, last, "
             "count), A,B,C, 0.1:1.0 (uniform), or uniform(..), log_uniform(..), normal(..), integers(..), choice(..).",
         ),
     ] = None
@@ -32,7 +32,8 @@ class SweepOptions:
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Fixed value for all runs; repeatable.")
     ] = None
     metrics: Annotated[
-        str | None, typer.Option(help="Metric names, outcome, or .py files with functions of the simulator: A,B,my.py.")
+        str | None,
+        typer.Option(help="Names of metrics, outcome, or .py files with functions of the simulator: A,B,my.py."),
     ] = None
     observe: Annotated[
         str | None,

@@ -17,7 +17,7 @@ from warp_rigid.extras import advice, need_for_file
 from warp_rigid.files.atomic import check_replaceable
 
 CAMERA_HELP = (
-    'Camera of pictures, such as "position=3,0,2 look_at=0,0,0.5 field_of_view=40", "azimuth=-60 elevation=20", '
+    'Camera, such as "position=3,0,2 look_at=0,0,0.5 field_of_view=40", "azimuth=-60 elevation=20", '
     '"follow=ball distance=2", or the name of a camera of a USD file.'
 )
 PLAIN_WIDTH = 120

@@ -29,10 +29,10 @@ def validate_command(
     ] = None,
     as_json: AsJson = False,
     compare_shock: Annotated[
-        bool, typer.Option("--compare-shock", help="Compare shock propagation with its alternatives instead.")
+        bool, typer.Option("--compare-shock", help="Only compare shock propagation with its alternatives.")
     ] = False,
     compare: Annotated[
-        list[Path] | None, typer.Option(help="results.json of a run, repeatable: print which verdicts differ instead.")
+        list[Path] | None, typer.Option(help="Only compare the verdicts of this results.json with others; repeatable.")
     ] = None,
 ) -> int:
     """Compare the engine with closed forms and published references, in one table.

@@ -28,7 +28,7 @@ class ViewOptions:
     seed: Seed = None
     assignments: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="As for warp-rigid run."),
+        typer.Option("--set", metavar="NAME=VALUE", help="Value, as for warp-rigid run; repeatable."),
     ] = None
     compare: Annotated[bool, typer.Option("--compare", help="Simulate all variants of the scene side by side.")] = False
     camera: Annotated[str | None, typer.Option(help=CAMERA_HELP)] = None

@@ -21,17 +21,17 @@ class Settings:
     Attributes:
         dt: time step [s].
         collision_iterations: largest number of sweeps over impacts with restitution.
-        contact_iterations: largest number of sweeps over resting contacts, half of them before and half after shock
-            propagation. Where shock propagation has been ineffective for 8 steps (in heaps), two more sweeps follow for
-            each body on the shortest path to the ground. Islands whose bodies hardly move and did not fall, such as
-            an arch, are swept further where they have not converged: up to this number for each body, at most 30 times.
-            `Simulator.stats` reports the sweeps that were done.
+        contact_iterations: largest number of solver sweeps over contacts, half of them before and half after shock
+            propagation; the numbers of rounds are proportional to it. If shock propagation has been ineffective for 8
+            steps (in heaps), two more sweeps follow for each body on the shortest path to the ground. Structures that
+            hardly move, such as an arch, are swept further until they converge: up to this number for each body, at
+            most 30 times. `Simulator.stats` reports the sweeps.
         shock_iterations: repetitions of shock propagation.
         shock_propagation: "off", "one_pass" (Guendelman et al. 2003) or "two_pass" (with a line search, the default).
-        collision_first: impacts are solved before the velocity update (2003); False: after it.
-        warm_starting: start from the impulses of the last step; False: from zero, as in 2003.
-        edge_samples: edges generate contacts; False: only vertices, faces and balls.
-        sleeping: islands at rest fall asleep, and cost little until a body of theirs is disturbed.
+        collision_first: True solves impacts before the velocity update (as Guendelman et al.), False after it.
+        warm_starting: True starts from the impulses of the last step, False from zero (as Guendelman et al.).
+        edge_samples: whether edges generate contacts; False uses only vertices, faces and balls.
+        sleeping: whether islands at rest fall asleep; they then cost little until one of their bodies is disturbed.
     """
 
     dt: float = 1.0 / 240.0

@@ -47,26 +47,26 @@ class Simulator:
     """Environments of one or several scenes, each with its own state, parameters and settings.
 
     The scenes may differ in everything that a Scene states: shapes, number of bodies, masses, force fields, filtered
-    pairs, bounds, rules. The result of an environment does not depend on the others, to the bit.
+    pairs, bounds, rules. The result of an environment does not depend on the others, bit for bit.
 
-    Simulators can be used from several threads. On a CPU their steps run at the same time, on a GPU one after another.
-    A simulator works on the stream that was current when it was made.
+    Several threads can use simulators. On a CPU their steps run at the same time, on a GPU one after another. A
+    simulator works on the stream that was current when it was created.
 
-    Python warnings point out limits of hinges beyond a full turn, which may be in degrees, and bodies that move by more
-    than their size in the first step.
+    The constructor issues a Python warning if limits of a hinge exceed a full turn, as they may be in degrees, and if a
+    body moves by more than its size in the first step.
 
     Args:
         scene: the scene, or a list of scenes.
         num_envs: number of environments of each scene. With n scenes, environment e has scene e modulo n.
         settings: initial settings of all environments; `set` changes them per environment.
         device: a Warp device or its name. None selects the first CUDA device, or else the CPU, and logs which. On a CPU
-            the environments are distributed over all cores that the process may use; a single environment of more than
-            128 bodies uses all of them.
+            the environments are distributed over all cores that the process may use; a single environment uses one core
+            per 128 bodies, at most 16.
         seed: stored for scenes and metrics that draw random numbers; the simulation itself draws none.
         on_overflow: what happens when a step finds more pairs or contacts than the capacity. "grow" increases the
-            capacity between steps, before the number that the last steps found reaches it. If a step exceeds it all the
-            same, the last steps, at most 16, are repeated. The results are the same bits as with that capacity from
-            the start. "raise" undoes the step and raises a CapacityError.
+            capacity between steps, as the numbers found in the last steps approach it. If a step exceeds it
+            nevertheless, at most the last 16 steps are repeated. The results are the same, bit for bit, as with
+            sufficient capacity from the start. "raise" undoes the step and raises a CapacityError.
         on_nonfinite: what happens when a state becomes non-finite. "quarantine" halts that environment and reports it
             in `status`; "raise" also raises a NonFiniteError.
         memory_limit: largest amount of device memory: bytes (int), a fraction of the device's memory (float), or None
@@ -207,15 +207,15 @@ class Simulator:
 
         Bodies and joints that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
 
-        Quantities are those that `set` changes, and of bodies "inertia", "center_of_mass", "kinetic_energy",
-        "potential_energy", "asleep" and "level", and of joints, (envs, joints, ...), "joint_position", "joint_velocity"
-        and "joint_force" (force [N] and torque [N m] on the first body in the last step, 6 numbers).
+        Quantities are those that `set` changes; for bodies also "inertia", "center_of_mass", "kinetic_energy",
+        "potential_energy", "asleep" and "level"; for joints, (envs, joints, ...), also "joint_position",
+        "joint_velocity" and "joint_force" (force [N] and torque [N m] on the first body in the last step, 6 numbers).
 
         Args:
             name: the quantity.
             envs: different indices of environments, a slice, or a mask (envs,) of booleans; None for all.
-            bodies: indices, a slice, or names of bodies, in the order of the result; None for all. At least one of
-                these environments must have each.
+            bodies: indices, a slice, or names of bodies, in the order of the result; None for all. Each must exist in
+                at least one of these environments.
             joints: the same of joints, for quantities of joints.
 
         Raises:
@@ -243,8 +243,8 @@ class Simulator:
             value: number, array, mode name, or list of mode names.
             envs: different indices of environments, a slice, or a mask (envs,) of booleans; None for all.
             bodies: indices, a slice or names of the bodies, which all these environments must have; None for all
-                bodies, where the values of bodies that an environment lacks, velocities of static bodies, and
-                velocities of the surfaces of dynamic bodies are not read.
+                bodies. With None, values are ignored for bodies that an environment lacks, for velocities of static
+                bodies, and for surface velocities of dynamic bodies.
             joints: the same of joints, for quantities of joints.
 
         Raises:
@@ -367,10 +367,10 @@ class Simulator:
         """Return the current deepest overlap of each environment, (envs,) [m].
 
         It is the largest depth of a point of one body's surface inside another body, by the true distance to that
-        body's surface. It is searched on the whole surface, apart from contacts and their samples, and found to 1 % or
-        2 um. If another body contains the centre of a large ball inside a body, it is at least the distance by which
-        that ball must move. In a compound the depth is that in the deepest child. The distance to a mesh with holes is
-        that of its grid.
+        body's surface. The search covers the whole surface, independently of contacts and their samples, and is
+        accurate to 1 % or 2 um. If another body contains the centre of a large ball inside a body, the overlap is at
+        least the distance by which that ball must move. In a compound the depth is that in the deepest child. The
+        distance to a mesh with holes is that of its grid.
         """
         return self._world.shards.deepest_overlap()
 
@@ -379,8 +379,8 @@ class Simulator:
         """Return records (envs,): status, step, time, body, warning.
 
         The status is "ok", "non-finite" (the environment is halted) or "out of bounds" (a body left `Scene.bounds`),
-        with the step, time [s] and body at which it began (-1 if ok). The warning names what `warnings` returns for
-        the environment, such as "overlap" or "overlap, energy"; it is "" if there is nothing.
+        with the step, time [s] and body at which it began (-1 if ok). The warning lists the kinds that `warnings`
+        returns for the environment, such as "overlap" or "overlap, energy"; it is "" if there are none.
         """
         return step_reports.status_records(self._world)
 
@@ -388,19 +388,19 @@ class Simulator:
     def warnings(self) -> np.ndarray:
         """Return what the health checks have found since the last reset: records env, warning, step, time, body.
 
-        An environment with a warning is simulated further, but its results are doubtful. Every 64 steps it is checked
-        for each of these, and the first occurrence is recorded:
+        An environment with a warning is simulated further, but its results are doubtful. Every 64 steps, each
+        environment is checked for the following, and the first occurrence of each is recorded:
 
         - "overlap": a body overlaps another one by more than 5 % of the smaller one's size, and this has not shrunk
           by 5 % between checks, four times in a row.
-        - "energy": the bodies gained more energy than gravity, force fields, forces and torques gave them, by 2 % of
+        - "energy": the bodies gained more energy than the work of gravity, force fields, forces and torques, by 2 % of
           their kinetic energy and 1 % of the energy that lifts each by its size. The body is the one with the largest
           kinetic energy. Environments with kinematic bodies that move, moving ground, or joints with springs, motors or
           armature are not checked.
-        - "precision": neighbouring positions at a body are farther apart than 0.5 % of its largest or 100 % of its
-          smallest extent, because it is far from the origin.
-        - "load": the force of another body on a body is more than 100 000 times its weight, as under a body that is so
-          much heavier. The error of the force then exceeds what the body weighs, and it can be squeezed out.
+        - "precision": the spacing of float32 numbers at the position of a body is more than 0.5 % of its largest or
+          100 % of its smallest extent, because it is far from the origin.
+        - "load": the force of another body on a body is more than 100 000 times its weight, for example under a body
+          that is so much heavier. Rounding errors of the force can then exceed the weight, and push the body away.
         - "residual": the last sweep or round of the solver changed a velocity by more than 10 % of what gravity adds to
           it in a step, in three checks in a row. An example is a light tray that slides under many boxes. The body is
           the fastest one in contact. Piles of fallen bodies are not checked: their impulses converge over several
@@ -410,7 +410,7 @@ class Simulator:
 
     @guarded
     def watch(self, watched: Sequence[Any]) -> None:
-        """Record from now on, in every step, what happens to chosen bodies; see `watched`.
+        """Start to record contacts and motion of chosen bodies in every step; `watched` returns them.
 
         Args:
             watched: for each watch None for all bodies of an environment, a body, or a pair of bodies, by index or
@@ -452,9 +452,9 @@ class Simulator:
 
     @guarded
     def stage_times(self, steps: int = 32) -> dict[str, float]:
-        """Return the time that each stage of a step takes in the present state, which is kept [s].
+        """Return the time that each stage of a step takes in the present state, which does not change [s].
 
-        On a CPU it is processor time, which does not depend on other programs. A first step is not timed.
+        On a CPU it is processor time, which does not depend on other programs. An additional first step is not timed.
 
         Args:
             steps: number of steps to average over.
@@ -472,12 +472,12 @@ class Simulator:
         """Return what the solver did in the last step: arrays (envs,) by name.
 
         - "pairs", "contacts": numbers of pairs and contacts.
-        - "islands": number of groups of dynamic bodies that contacts and other constraints connect. Of these,
-          "islands_shock" were solved with shock propagation, "islands_sweeps" by sweeps alone, because shock
-          propagation is off or was not needed, and "islands_rounds" in rounds, because they are heaps, for which shock
-          propagation is ineffective. "islands_asleep" sleep.
-        - "sweeps", "rounds": sweeps over the constraints, and rounds over the pairs of heaps. "shock_sweeps",
-          "push_out_sweeps", "push_out_rounds": those of shock propagation and of the push-out.
+        - "islands": number of groups of dynamic bodies that contacts and joints connect. Of these, "islands_shock" were
+          solved with shock propagation, "islands_sweeps" by sweeps alone, because shock propagation is off, ineffective
+          or was not needed, and "islands_rounds" in rounds, as in environments of more than 128 bodies.
+          "islands_asleep" sleep.
+        - "sweeps", "rounds": sweeps and rounds of the contact solver. "shock_sweeps", "push_out_sweeps",
+          "push_out_rounds": those of shock propagation and of the push-out.
         - "residual": largest change of a velocity by a constraint row in the last sweep or round [m/s].
         - "pair_capacity_used", "contact_capacity_used": used fraction of the pool to which the environment belongs.
         """
@@ -494,7 +494,7 @@ class Simulator:
 
     @property
     def grid_cell(self) -> float:
-        """Cell width of the hash grid of the first scene [m]; environments of few bodies test all pairs instead."""
+        """Cell width of the hash grid of the first scene [m]; environments of at most 256 bodies test all pairs."""
         return self._world.model.size_groups[self.scenes[0]].width
 
     def _raise_if_nonfinite(self) -> None:

@@ -1,4 +1,4 @@
-"""Camera: where pictures are taken from, as plain data."""
+"""Camera of pictures, as plain data."""
 
 import math
 from collections.abc import Sequence
@@ -19,11 +19,11 @@ SHORTEST = 1e-6
 
 @dataclass(frozen=True)
 class Camera:
-    """Where pictures, films, pages and USD files show a scene from. z of the world points up in the picture.
+    """Camera of pictures, films, pages and USD files. z of the world points up in the picture.
 
     `Camera(position=..., look_at=...)` stands still. `Camera.orbit` looks from a direction, and keeps the moving
-    bodies in view where no distance is given; `Camera()` does so from the default direction. `Camera.follow` moves with
-    a body.
+    bodies in view if no distance is given; `Camera()` does so from the default direction. `Camera.follow` moves with a
+    body.
 
     Attributes:
         position: (3,) of the camera, in the coordinates of the environment [m]; None for a camera that is placed by its

@@ -32,7 +32,7 @@ class ImportReport:
     Attributes:
         file: path of the imported file.
         findings: the differences, in file order.
-        root: path of the prim below which was read; None for the whole stage.
+        root: path of the prim whose descendants were read; None for the whole stage.
         prims: indices of the movable bodies in the scene, by the paths of their prims.
         cameras: cameras of the file by the paths of their prims; `Scene.camera` is the only one of a file.
         files: paths of all files that were read, with those that the imported file refers to.
@@ -47,12 +47,12 @@ class ImportReport:
 
     @property
     def left_out(self) -> list[ImportFinding]:
-        """Findings on content that was not imported."""
+        """Findings about content that was not imported."""
         return [finding for finding in self.findings if finding.kind == "left out"]
 
     @property
     def changed(self) -> list[ImportFinding]:
-        """Findings on content that was imported with changes."""
+        """Findings about content that was imported with changes."""
         return [finding for finding in self.findings if finding.kind == "changed"]
 
     def tell(self, strict: bool, stacklevel: int) -> None:

@@ -1,4 +1,4 @@
-"""Look: what the surface of a body looks like, as plain data."""
+"""Look: the appearance of a body's surface, as plain data."""
 
 import os
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ class Look:
     """Visible surface of a body, as UsdPreviewSurface describes it.
 
     Attributes:
-        color: (3,) linear RGB from 0 to 1; None for the colour that bodies have by their index.
+        color: (3,) linear RGB from 0 to 1; None for a colour chosen by the body's index.
         roughness: 0 for a mirror to 1 for a matt surface.
-        metallic: 0 for others to 1 for metals, whose reflections have their colour.
-        image: path of an image, also in a package, "film.usdz[image.png]", made absolute. It is shown, instead of the
-            colour, on meshes with `uv`.
+        metallic: 0 for a dielectric to 1 for a metal, whose reflections have its colour.
+        image: path of an image, made absolute; also of one in a package, "film.usdz[image.png]". It replaces the colour
+            on meshes with `uv`.
 
     Raises:
         ValueError: A value is outside its range.

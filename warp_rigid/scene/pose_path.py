@@ -16,10 +16,10 @@ SAME_PLACE, SAME_ORIENTATION = 1e-6, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PosePath:
-    """Keyframes of a kinematic body, between which it moves and turns evenly; see `Scene.add_kinematic`.
+    """Keyframes of a kinematic body, between which it moves and turns at constant velocity; see `Scene.add_kinematic`.
 
     Before the first time the body has the first pose, after the last time the last one. Between two keyframes it turns
-    the shorter way: a larger turn needs keyframes between them.
+    the shorter way: a turn of more than 180 degrees needs further keyframes.
 
     Args:
         times: (n,) increasing, from 0 on [s]; at least two.

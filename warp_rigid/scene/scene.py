@@ -88,11 +88,10 @@ class Scene:
             combined: "min" (the 2003 method), "average", "multiply" or "max".
         restitution_combine: the same for restitution.
         bounds: (lower, upper) corners of the box that bodies should not leave, infinite where there is no bound [m];
-            None for no bounds. Simulator.status reports a moving body whose centre leaves the box.
+            None for no bounds. `Simulator.status` reports a moving body whose centre leaves the box.
         out_of_bounds: what happens to such a body: "report" changes nothing else, "remove" switches it off (`active`
             becomes False).
-        camera: where pictures, films, pages and USD files show the scene from; None for one that keeps the moving
-            bodies in view.
+        camera: camera of pictures, films, pages and USD files; None for one that keeps the moving bodies in view.
 
     Attributes:
         bodies: list of Body, in the order in which they were added.
@@ -150,7 +149,7 @@ class Scene:
 
     @property
     def camera(self) -> Camera | None:
-        """Where the scene is seen from; None for a camera that keeps the moving bodies in view."""
+        """Camera of pictures, films, pages and USD files; None for one that keeps the moving bodies in view."""
         return self._camera
 
     @camera.setter
@@ -189,9 +188,9 @@ class Scene:
             orientation: (4,) quaternion (x, y, z, w); scaled to unit length.
             linear_velocity: (3,) velocity of the centre of mass [m/s].
             angular_velocity: (3,) in the world frame [rad/s].
-            density: [kg/m^3], > 0; 1000 where neither density nor mass is given.
+            density: [kg/m^3], > 0; 1000 if neither density nor mass is given.
             mass: [kg], from 1e-17 to 1e15; instead of density.
-            name: of the body; the shape's kind and the body's index where none is given. If another body has this
+            name: of the body; by default the shape's kind and the body's index. If another body has this
                 name, a number is added: "box", "box_1", "box_2".
             active: False for a body that is not simulated until `sim.set("active", True, ...)` switches it on.
             **coefficients: coefficients of the body by name; see Coefficients.
@@ -395,11 +394,11 @@ class Scene:
             body_a: index or name of the first body. The coordinate is its motion relative to the second one.
             body_b: index or name of the second body; None for the world.
             anchor: (3,) point at which the joint holds the bodies [m].
-            anchor_b: (3,) point of the second body where it is not `anchor`, as for the ends of a DistanceJoint [m].
+            anchor_b: (3,) point of the second body if it is not `anchor`, as for the ends of a DistanceJoint [m].
             frame_a: frame fixed to the first body, whose x axis is the joint's axis; given together with `frame_b`
                 instead of the anchors and the axis.
             frame_b: frame fixed to the second body, or to the world.
-            name: of the joint; the kind and the joint's index where none is given. If another joint has this name, a
+            name: of the joint; by default the kind and the joint's index. If another joint has this name, a
                 number is added, as for bodies.
             break_force: the joint breaks at a larger force [N].
             break_torque: the joint breaks at a larger torque [N m].
@@ -446,7 +445,8 @@ class Scene:
     ) -> None:
         """Drive a revolute or prismatic joint by stiffness (target_position - q) + damping (target_velocity - v).
 
-        A spherical joint can be damped: a torque of `damping` times its angular velocity acts against all rotations.
+        q and v are its position and velocity. A spherical joint can be damped: a torque of `damping` times its angular
+        velocity acts against all rotations.
 
         Args:
             joint: index of the joint.
@@ -525,7 +525,7 @@ def _start(state: tuple, path: PosePath | None) -> tuple:
 
 
 def unique_name(wanted: str, copies: dict[str, int]) -> str:
-    """The wanted name, with a number behind it if it is taken; `copies`: next number for each name that is taken."""
+    """The wanted name, with a number appended if it is taken; `copies`: next number for each name that is taken."""
     name = wanted
     while name in copies:
         name = f"{wanted}_{copies[wanted]}"

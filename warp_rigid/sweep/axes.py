@@ -40,7 +40,7 @@ class Uniform(Distribution):
 
 @dataclass(frozen=True)
 class LogUniform(Distribution):
-    """Distribution of positive numbers with a logarithm uniform between those of `low` and `high`."""
+    """Distribution of positive numbers whose logarithm is uniform between those of `low` and `high`."""
 
     low: float
     high: float
@@ -132,7 +132,7 @@ def clean_axes(axes: Mapping[str, Any]) -> dict[str, list | Distribution]:
     """Validate axes and convert their values to plain Python.
 
     Args:
-        axes: by name a distribution, a sequence or array of values, or one value.
+        axes: for each name a distribution, a sequence or array of values, or one value.
 
     Raises:
         ValueError: An axis is empty or has an invalid value.

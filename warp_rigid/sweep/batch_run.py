@@ -126,7 +126,7 @@ def run_batch(job: Job, runs: Sequence[Run], on_done: Callable[[float], object] 
     Args:
         job: data shared by all runs.
         runs: the runs of the batch.
-        on_done: called after each sample with what is done, as a number of runs.
+        on_done: called after each sample with the finished part, as a number of runs.
     """
     start = time.perf_counter()
     prepared = None

@@ -12,7 +12,7 @@ from warp_rigid.scene.scene import Scene
 
 
 class SharedReads:
-    """What the views of a simulator have read since it last changed: each quantity is read once for all of them.
+    """Quantities that the views of a simulator have read since it last changed: each is read once for all views.
 
     Args:
         sim: the simulator.

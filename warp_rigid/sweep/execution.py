@@ -73,8 +73,8 @@ def sweep(
 ) -> SweepResult:
     """Simulate a scene over a range of parameters; one row per run.
 
-    Runs with the same time step share a simulator, one environment per run, also where their scenes differ in shapes or
-    numbers of bodies. Runs with different time steps go into separate batches. A row depends only on its parameters,
+    Runs with the same time step share a simulator, one environment per run, even if their scenes differ in shapes or
+    numbers of bodies. Runs with different time steps are in separate batches. A row depends only on its parameters,
     not on the batch, the batch index, the shard or the worker.
 
     Args:
@@ -96,15 +96,15 @@ def sweep(
         fps: state samples per simulated second.
         batch: maximum number of environments per batch, or "auto" to derive it from the available memory.
         device: as in Simulator, or "all" for every GPU of this machine, each in a process of its own.
-        output: a .parquet file that is updated while the sweep runs; PATH.json beside it holds scene, design, versions
-            and commit.
+        output: a .parquet file that is updated while the sweep runs; PATH.json beside it contains scene, design,
+            versions and commit.
         resume: keep the finished rows of `output` and run only the others.
         overwrite: replace `output`.
         trajectories: a .zarr folder for the poses of every sample.
-        observe: ready-made observers by name, functions of the simulator, classes, or .py files of these, called at
+        observe: names of built-in observers, functions of the simulator, classes, or .py files of these, called at
             every sample; their values at the end are columns. See warp_rigid.sweep.observers.
-        series: names of ready-made observers, or of functions of `observe`, whose values at every sample are kept, in
-            the folder TABLE.series beside `output`, or in memory. `SweepResult.series` reads them.
+        series: names of built-in observers, or of functions of `observe`, whose values at every sample are kept in the
+            folder TABLE.series beside `output`, or in memory. `SweepResult.series` reads them.
         series_output: a .zarr folder for the series instead.
         shard: (i, n) runs every n-th run of the design, starting with the i-th, 1 <= i <= n.
         cluster: "local" for worker processes on this machine, each with a GPU or its share of the cores; for more
@@ -112,7 +112,8 @@ def sweep(
             runs in this process.
         workers: number of worker processes for "local"; None uses one per GPU, or two without a GPU.
         on_progress: called after each batch with the number of finished runs and of all runs.
-        progress: show a bar in terminals and notebooks, which advances within batches (with Dask after each batch).
+        progress: whether to show a bar in terminals and notebooks, which advances within batches (with Dask after each
+            batch).
         command: the command line, stored in PATH.json.
 
     Returns:
@@ -286,7 +287,7 @@ def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], t
     """All observers, the names of those whose values are columns, and the names of the series.
 
     Raises:
-        ValueError: An observer is unknown, or a series is neither ready-made nor a function of `observe`.
+        ValueError: An observer is unknown, or a series is neither built-in nor a function of `observe`.
     """
     columns = check_observers(observe)
     names = [column_name(observer) for observer in columns]
@@ -322,7 +323,7 @@ def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict
 def _check_names(job: Job, runs: list[Run]) -> None:
     """Check that no two columns have the same name.
 
-    A parameter "seed" means the same as the standard column, and an observer the same as the ready-made metric of its
+    A parameter "seed" means the same as the standard column, and an observer the same as the built-in metric of its
     name.
     """
     names = [("axis", name) for name in (runs[0].parameters if runs else ()) if name != "seed"]

@@ -17,7 +17,7 @@ class Failures:
 
     Attributes:
         reasons: for each environment the first error as one line; None without an error.
-        void: (envs,) bool, whether the simulation itself is not what it should be, so that no value of it counts.
+        void: (envs,) bool, whether the error invalidates the simulation itself, and so all its values.
     """
 
     def __init__(self, num_envs: int) -> None:
@@ -33,7 +33,7 @@ class Failures:
             code: the user's function, class or object.
             what: its name for the message, such as "metric slope".
             envs: the environments concerned.
-            void: whether their values do not count after an error.
+            void: whether an error invalidates all their values.
         """
         try:
             with errors_of(code):

@@ -44,7 +44,7 @@ class Job:
         fps: state samples per simulated second, for metrics and trajectories.
         metrics: names of built-in metrics, or functions of the simulator.
         trajectories: whether poses are recorded.
-        observers: names of ready-made observers, functions or classes, for the columns `observe` and the series.
+        observers: names of built-in observers, functions or classes, for the columns `observe` and the series.
         observe: names of the observers whose values at the end are columns.
         series: names of the observers whose values at every sample are kept.
         device: a Warp device or its name; None uses the first CUDA device, else the CPU.

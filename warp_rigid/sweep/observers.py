@@ -1,9 +1,10 @@
 """Observers: quantities that are read at every sample of a sweep, as columns of the table and as time series.
 
-A ready-made observer is a name, such as "peak_impulse", optionally with one or two bodies: "peak_impulse[ball]",
-"peak_impulse[ball,ground]". Names of WATCHED are recorded on the device in every step. An observer of the user is a
-function of the simulator that returns (envs,) or (envs, n) values, or a class that is made with the simulator and then
-called with it. It gets all environments of the batch at once and may work on their device arrays (`Simulator.array`).
+A built-in observer is a name, such as "peak_impulse", optionally with one or two bodies: "peak_impulse[ball]",
+"peak_impulse[ball,ground]". Names of WATCHED are recorded on the device in every step. A user's observer is a function
+of the simulator that returns (envs,) or (envs, n) values, or a class that is instantiated with the simulator and whose
+instance is called with it. It gets all environments of the batch at once and may work on their device arrays
+(`Simulator.array`).
 """
 
 import re
@@ -46,11 +47,11 @@ class Observers:
         failures: where errors of the user's observers are stored.
 
     Attributes:
-        latest: values of every observer at the last sample, (envs, ...); none of an observer that failed.
+        latest: values of every observer at the last sample, (envs, ...), except of observers that failed.
     """
 
     def __init__(self, sim: Simulator, observers: Sequence[str | Callable], failures: Failures) -> None:
-        """Start to watch, make the observers of the user, and read all once."""
+        """Start to watch, create the user's observers, and read all once."""
         self.sim, self.latest, self._failures = sim, {}, failures
         self._names = [name for name in observers if isinstance(name, str)]
         self._watched = list(dict.fromkeys(_bodies(name) for name in self._names if _quantity(name) in WATCHED))
@@ -136,7 +137,7 @@ def check_observers(observers: Any, name: str = "observe") -> tuple[str | Callab
 
 
 def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -> None:
-    """Check that for each observer with bodies at least one scene has them.
+    """Check that at least one scene has the bodies of each observer.
 
     Raises:
         ValueError: no scene has the bodies.
@@ -160,7 +161,7 @@ def _bodies(name: str) -> tuple[str, ...]:
 
 
 def _is_ready_made(name: str) -> bool:
-    """Whether a name with its bodies is that of a ready-made observer."""
+    """Whether a name with its bodies is that of a built-in observer."""
     if not PATTERN.fullmatch(name):
         return False
     quantity, count = _quantity(name), len(_bodies(name))
@@ -181,7 +182,7 @@ def _suggestion(observer: Any) -> str:
 
 
 def _owner(name: str) -> str:
-    """Whether a ready-made observer is of "bodies" or of "joints"."""
+    """Whether a built-in observer is of "bodies" or of "joints"."""
     return "joints" if owner_of(_quantity(name)) == "joints" else "bodies"
 
 

@@ -46,7 +46,7 @@ def open_zarr(name: str, folder: Path, resume: bool, overwrite: bool) -> Any:
 def array_of_runs(
     group: Any, name: str, shape: tuple[int, ...], runs_per_chunk: int, dtype: Any, dimensions: list[str]
 ) -> Any:
-    """The zarr array (runs, samples, ...) of a name, which is created or grows if needed; what a run lacks is NaN."""
+    """The zarr array (runs, samples, ...) of a name, created or enlarged if needed; missing values are NaN."""
     if name not in group:
         chunks = (runs_per_chunk, *shape[1:])
         group.create_array(name, shape=shape, chunks=chunks, dtype=dtype, fill_value=np.nan, dimension_names=dimensions)
@@ -100,8 +100,8 @@ class Series:
 class ZarrSeries:
     """The time series of a sweep in a zarr folder.
 
-    It holds `time` (runs, samples) [s] and one array (runs, samples, ...) for each series, indexed by the column `run`
-    of the table. What a run lacks is NaN. Chunks are replaced atomically; as in `Series`, the series of a run are
+    It contains `time` (runs, samples) [s] and one array (runs, samples, ...) for each series, indexed by the column
+    `run` of the table. Missing values are NaN. Chunks are replaced atomically; as in `Series`, the series of a run are
     complete before its row is written.
 
     Args:
@@ -111,7 +111,7 @@ class ZarrSeries:
         overwrite: replace an existing folder.
 
     Raises:
-        ValueError: As open_zarr, or the folder holds the series of a different sweep.
+        ValueError: As open_zarr, or the folder contains the series of a different sweep.
     """
 
     def __init__(self, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> None:

@@ -1,4 +1,4 @@
-"""What the time of a sweep is spent on."""
+"""Wall-clock time of a sweep by phase."""
 
 import time
 from collections.abc import Iterator, Mapping

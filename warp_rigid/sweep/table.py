@@ -86,7 +86,7 @@ class SweepResult:
         """Return the time series as a pyarrow.Table with the columns run, time [s] and one for each name of `series`.
 
         Raises:
-            ValueError: The sweep kept none, or the table that was read has no folder of series beside it.
+            ValueError: The sweep has no series, or no folder of series is beside the table.
         """
         if self._series is None:
             raise ValueError("series: none were kept; give series to sweep, or read the folder with read_series")
@@ -130,7 +130,7 @@ class SweepResult:
         return frame
 
     def to_polars(self) -> Any:
-        """The rows as a polars.DataFrame, which has no place for `units`.
+        """The rows as a polars.DataFrame, which cannot store units.
 
         Raises:
             ModuleNotFoundError: polars is not installed.
@@ -140,8 +140,8 @@ class SweepResult:
     def to_xarray(self) -> Any:
         """The rows as an xarray.Dataset, with units as attrs["units"] of its variables.
 
-        A grid has one dimension for each axis, and `repeat` if there are repeats; what a missing run lacks is NaN.
-        Other designs have the dimension `run`, along which the axes are coordinates.
+        A grid has one dimension for each axis, and `repeat` if there are repeats; values of missing runs are NaN. Other
+        designs have the dimension `run`, along which the axes are coordinates.
 
         Raises:
             ModuleNotFoundError: xarray is not installed.
@@ -167,7 +167,7 @@ class SweepResult:
             The Simulator, with one environment.
 
         Raises:
-            ValueError: The row is no row, or the scene is missing or not that of the rows.
+            ValueError: The row is invalid, or the scene is missing or not that of the rows.
         """
         return replay(self, row, scene, device)
 
@@ -190,7 +190,7 @@ class SweepResult:
 
 
 class ResultFile:
-    """A result file that grows while a sweep runs.
+    """Result file of a sweep, written while it runs.
 
     Each write replaces the whole file atomically, so that a complete file exists at any time. The interval between
     writes is proportional to their duration.
@@ -203,8 +203,8 @@ class ResultFile:
         source: the scene as passed to `sweep`.
 
     Raises:
-        ValueError: The file exists and is neither resumed nor overwritten, or holds rows of a different sweep.
-        OSError: Its name, or that of the file of metadata beside it, is too long, or something else is there.
+        ValueError: The file exists and is neither resumed nor overwritten, or contains rows of a different sweep.
+        OSError: The name of the file, or of the metadata file beside it, is too long, or the path is not a file.
     """
 
     def __init__(

@@ -15,7 +15,7 @@ AXES = {"position": "xyz", "orientation": "xyzw"}
 
 
 class Trajectories:
-    """A folder of trajectories that grows while a sweep runs.
+    """Folder of the trajectories of a sweep, written while it runs.
 
     Args:
         path: the folder; must end in .zarr.

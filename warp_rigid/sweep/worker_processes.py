@@ -99,7 +99,7 @@ class WorkerProcesses:
 
         Args:
             batches: the runs of each batch.
-            on_done: called now and then with what is done of the running batches, as a number of runs.
+            on_done: called repeatedly with the finished part of the running batches, as a number of runs.
         """
         left = iter(batches)
         # For each batch that runs, its worker and how often it was started.
