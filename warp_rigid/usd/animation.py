@@ -78,7 +78,10 @@ class Instancers:
             self._define_group(samples, f"{root}/{name}", group, library, frame)
             look = looks.get(int(bodies[0]))
             if look and look.image:
-                self._paint(samples.layer, f"{root}/{name}/Prototypes", colors[bodies[0]], look, library)
+                prototypes = f"{root}/{name}/Prototypes"
+                define_surface(samples.layer, f"{prototypes}/paint", colors[bodies[0]], look, library.images)
+                prototype = define(samples.layer, f"{prototypes}/shape", "Mesh", ["MaterialBindingAPI"])
+                set_relationship(prototype, "material:binding", f"{prototypes}/paint")
             self._paths |= dict.fromkeys(bodies.tolist(), f"{root}/{name}")
             self._groups.append(group)
 
@@ -117,13 +120,6 @@ class Instancers:
             vertex = "vertex" if name.startswith("primvars:") else ""
             attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)
             group.tracks[name] = samples.track(attribute)
-
-    @staticmethod
-    def _paint(layer: Sdf.Layer, prototypes: str, color: np.ndarray, look: Look, library: Library) -> None:
-        """Give the prototype of instances a material with the image of their look."""
-        define_surface(layer, f"{prototypes}/paint", color, look, library.images)
-        prototype = define(layer, f"{prototypes}/shape", "Mesh", ["MaterialBindingAPI"])
-        set_relationship(prototype, "material:binding", f"{prototypes}/paint")
 
     def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
         """Write the values that changed since the previous frame."""

@@ -315,8 +315,10 @@ class Reader:
             "position": position + rotation @ place_in_body,
             "orientation": quaternion_of_matrix(rotation @ rotations.matrix(orientation)),
             "name": body.prim.GetDisplayName() or body.prim.GetName(),
-            **self._coefficients(body, group),
+            **group[0].coefficients,
         }
+        if any(collider.coefficients != group[0].coefficients for collider in group):
+            self.change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
         try:
             if body.motion != Motion.DYNAMIC:
                 surface = read_surface_motion(body.prim, rotation, stretch, self._to_z_up, self.meter)
@@ -408,11 +410,6 @@ class Reader:
             return {}, None
         found = read_material(material, self.meter, partial(self.change, prim))
         return found, positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())
-
-    def _coefficients(self, body: _Body, group: list[Collider]) -> dict[str, float]:
-        if any(collider.coefficients != group[0].coefficients for collider in group):
-            self.change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
-        return group[0].coefficients
 
     def _velocities(self, prim: Usd.Prim, rotation: np.ndarray, center: np.ndarray) -> dict[str, Any]:
         """Velocities in the world frame; USD has them in the body frame, in degrees, as is the centre of mass."""
