@@ -360,7 +360,8 @@ class LiveViewer:
         if not expected:
             log.error("a request failed: %s", error, exc_info=error)
         text = explain(error) if expected else f"{type(error).__name__}: {explain(error)}"
-        self.server.notify("Not possible" if expected else "Error", text)
+        for client in self.server.get_clients().values():
+            client.add_notification("Not possible" if expected else "Error", text, color="red")
 
     def _show_scene(self) -> None:
         """Put the bodies of the shown environments on the page."""

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import scenes
 from warp_rigid.engine import joint_quantities
 from warp_rigid.engine.quantities import WRITABLE
 from warp_rigid.engine.settings import Settings
@@ -314,8 +313,3 @@ class Session:
         """The pulled place of the body in the world [m]."""
         orientation = self.sim.get("orientation")[pull.env, pull.body].astype(np.float64)
         return rotate(orientation, pull.local) + self.sim.get("position")[pull.env, pull.body]
-
-
-def key_scenes() -> dict[str, str]:
-    """Which scene each digit key loads."""
-    return dict(zip("1234567890", scenes.names(), strict=False))
