@@ -134,8 +134,8 @@ class Instancers:
             surface = self._film.surfaces[self._film.surface[group.bodies[0]]]
             if surface.moves:
                 group.corners = bound_corners(surface.vertices_at(frame.time))
-                values |= _pose_values(group)
-            if not (np.array_equal(position, group.position) and np.array_equal(orientation, group.orientation)):
+            still = np.array_equal(position, group.position) and np.array_equal(orientation, group.orientation)
+            if surface.moves or not still:
                 group.position, group.orientation = position, orientation
                 values |= _pose_values(group)
             if colors is not None and not np.array_equal(colors[group.bodies], group.color):
