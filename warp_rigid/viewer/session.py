@@ -226,7 +226,7 @@ class Session:
         return impulse
 
     def pull(self, env: int, body: int, point: np.ndarray, target: np.ndarray) -> None:
-        """Pull a body from now on: a spring from a point on it to a target, both in the world [m]."""
+        """Pull a dynamic body from now on: a spring from a point on it to a target, both in the world [m]."""
         self.release()
         orientation = self.sim.get("orientation")[env, body].astype(np.float64)
         back = inverse(orientation)
@@ -291,8 +291,6 @@ class Session:
         if self._pull is None:
             return
         env, body = self._pull.env, self._pull.body
-        if self.plan.scene.bodies[body].motion != Motion.DYNAMIC:
-            return
         mass = float(self.sim.get("mass")[env, body])
         inertia = self.sim.get("inertia")[env, body].astype(np.float64)
         arm = self._grip(self._pull) - self.sim.get("center_of_mass")[env, body]
