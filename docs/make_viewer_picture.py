@@ -30,7 +30,7 @@ def main() -> None:
             executable_path=os.environ.get("CHROMIUM") or shutil.which("chromium"), args=FLAGS
         )
         page = browser.new_page(viewport={"width": 1100, "height": 700})
-        page.goto(f"{viewer.url}?fixedDpr=1")
+        page.goto(f"{viewer.server.url}?fixedDpr=1")
         warning = page.get_by_text("Software WebGL rendering detected")
         warning.wait_for()
         warning.locator("xpath=ancestor::*[descendant::button][1]").locator("button").click()

@@ -47,7 +47,7 @@ class Served:
         live.LOADING_PATIENCE = 0.1
         self._thread = threading.Thread(target=viewer.run, daemon=True)
         self._thread.start()
-        parts = urlsplit(viewer.url)
+        parts = urlsplit(viewer.server.url)
         self.netloc, self.host, self.port, self.path = parts.netloc, parts.hostname, parts.port, parts.path
 
     def close(self):

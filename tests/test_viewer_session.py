@@ -75,7 +75,7 @@ def test_events_come_in_their_time_after_every_restart():
     session = Session("box_stack", device="cpu")
     (when, _), *_ = session.plan.demo.events(session.plan.scene)
     for _ in range(2):
-        session._sim._world.shards.steps = round((when - 0.05) / session.sim.settings.dt)
+        session.sim._world.shards.steps = round((when - 0.05) / session.sim.settings.dt)
         session.step(6)
         assert np.linalg.norm(session.sim.get("linear_velocity")[0, -1]) < 1.0
         session.step(12)
@@ -145,7 +145,7 @@ def test_another_time_step_goes_on_from_the_same_state(falling):
 
 def test_events_wait_for_their_time_through_a_change_of_the_step():
     session = Session("box_stack", device="cpu")
-    session._sim._world.shards.steps = round(4.9 / session.sim.settings.dt)
+    session.sim._world.shards.steps = round(4.9 / session.sim.settings.dt)
     session.change("dt", 1.0 / 480.0)
     session.step(24)
     assert np.linalg.norm(session.sim.get("linear_velocity")[0, -1]) < 1.0

@@ -64,7 +64,7 @@ class Stage:
         page.set_default_timeout(1e3 * PATIENCE)
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         # Otherwise the page draws more coarsely while the machine is busy.
-        page.goto(f"{self.viewer.url}?fixedDpr=1")
+        page.goto(f"{self.viewer.server.url}?fixedDpr=1")
         page.wait_for_selector("canvas")
         page.get_by_text("Restart").wait_for()
         # The page warns of software rendering, on top of what is to be clicked.

@@ -46,7 +46,7 @@ def test_scrubber_and_play(page, recording, tmp_path, ending):
     thread = threading.Thread(target=viewer.run, daemon=True)
     thread.start()
     try:
-        page.goto(viewer.url)
+        page.goto(viewer.server.url)
         page.wait_for_selector("canvas")
         page.get_by_text("of 8.00 s").wait_for()
         page.wait_for_timeout(1000)

@@ -51,7 +51,7 @@ def socket_addresses(url):
 def attempts(page, live):
     """What a page reaches of a viewer."""
     protocol = f"viser-v{viser.__version__}"
-    return [page.evaluate(CONNECT, [address, protocol]) for address in socket_addresses(live.viewer.url)]
+    return [page.evaluate(CONNECT, [address, protocol]) for address in socket_addresses(live.viewer.server.url)]
 
 
 def test_page_from_another_origin_cannot_connect(stage, page, site):
@@ -59,7 +59,7 @@ def test_page_from_another_origin_cannot_connect(stage, page, site):
     page.goto(site)
     # 1006: the handshake was refused.
     assert attempts(page, live) == ["closed 1006", "closed 1006"]
-    assert page.evaluate(READ, live.viewer.url) == "blocked"
+    assert page.evaluate(READ, live.viewer.server.url) == "blocked"
     assert len(live.viewer.server.get_clients()) == 1
 
 
@@ -70,7 +70,7 @@ def test_viewers_own_page_connects_only_with_the_token(stage):
 
 def test_page_without_the_token_is_not_served(stage, page):
     live = stage("seesaw")
-    parts = urlsplit(live.viewer.url)
+    parts = urlsplit(live.viewer.server.url)
     for path in ("/", "/wrong-token/"):
         answer = page.goto(f"http://{parts.netloc}{path}")
         assert answer.status == 403 and "token" in page.inner_text("body")
@@ -80,7 +80,7 @@ def test_page_without_the_token_is_not_served(stage, page):
 def test_name_that_resolves_to_this_machine_is_refused(stage, browser):
     """DNS rebinding: the attacker's own name leads to the viewer, so the browser sees one origin."""
     live = stage("seesaw")
-    parts = urlsplit(live.viewer.url)
+    parts = urlsplit(live.viewer.server.url)
     rule = "--host-resolver-rules=MAP attacker.example 127.0.0.1"
     rebound = browser.browser_type.launch(executable_path=CHROMIUM, args=[*FLAGS, rule])
     try:

@@ -1,18 +1,16 @@
 """Speed, work and quality of a case at one batch size, as plain data."""
 
 import os
-import subprocess
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warp_rigid.bench.cases import BenchmarkCase, moving
-from warp_rigid.diagnostics.machine import versions
+from warp_rigid.diagnostics.machine import git, versions
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -174,12 +172,7 @@ def surroundings(device: Any) -> dict[str, Any]:
 
 def commit() -> str:
     """Commit of the checkout, with a + if files differ from it; "" if there is no checkout."""
-    folder = Path(__file__).resolve().parents[2]
-    if not (folder / ".git").exists():
-        return ""
-    return _git(folder, "rev-parse", "--short=12", "HEAD") + (
-        "+" if _git(folder, "status", "--porcelain", "-uno") else ""
-    )
+    return git("rev-parse", "--short=12", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
 
 
 def compare(rows: Sequence[dict[str, Any]]) -> None:
@@ -205,11 +198,3 @@ def advance(sim: Simulator, steps: int) -> tuple[float, float]:
     sim.step(steps)
     wp.synchronize_device(sim.device)
     return time.perf_counter() - begin, time.process_time() - start
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    try:
-        done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, timeout=30)
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout.strip()

@@ -5,8 +5,6 @@ from typing import Any
 
 from warp_rigid.bench.measure import OURS
 
-__all__ = ["duration", "notes"]
-
 ALIKE = 1.1
 """Ratio of costs up to which they count as equal."""
 MOVING = 0.05

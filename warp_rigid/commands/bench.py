@@ -116,11 +116,16 @@ def bench_command(options: BenchOptions) -> int:
                 done = [{**machine, **row} for row in _engines(case, conditions, found, chosen)]
                 measure.compare(done)
             _report({f"{row['engine']}: {case}: {row['fault']}" for row in done if "fault" in row}, faults)
-            _append(done, options.json_lines)
+            if options.json_lines:  # at once, so that an interrupted benchmark keeps its measurements
+                Path(options.json_lines).parent.mkdir(parents=True, exist_ok=True)
+                with open(options.json_lines, "a") as file:
+                    file.writelines(json.dumps(row) + "\n" for row in done)
             rows += done
             advance(len(rows))
     if options.output:
-        _draw(rows, options.output)
+        from warp_rigid.bench.chart import save_chart
+
+        save_chart(rows, options.output)
     files = [path for path in (options.json_lines, options.output) if path]
     if options.as_json:
         print(json.dumps({"rows": rows, "start_up": started, "files": files}))
@@ -149,21 +154,6 @@ def _report(found: set[str], reported: set[str]) -> None:
     for text in sorted(found - reported):
         note(text)
     reported |= found
-
-
-def _append(rows: list[dict[str, Any]], json_lines: str | None) -> None:
-    """Append the rows immediately, so that an interrupted benchmark keeps its measurements."""
-    if json_lines:
-        Path(json_lines).parent.mkdir(parents=True, exist_ok=True)
-        with open(json_lines, "a") as file:
-            file.writelines(json.dumps(row) + "\n" for row in rows)
-
-
-def _draw(rows: list[dict[str, Any]], output: str) -> None:
-    from warp_rigid.bench.chart import save_chart
-
-    Path(output).parent.mkdir(parents=True, exist_ok=True)
-    save_chart(rows, output)
 
 
 ENGINES = (

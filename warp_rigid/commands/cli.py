@@ -27,8 +27,6 @@ from warp_rigid.progress_bar import lines_if_redirected
 from warp_rigid.version import __version__
 from warp_rigid.warp_start import start_warp
 
-__all__ = ["main"]
-
 DEVICE, USAGE, CAPACITY, NON_FINITE = 1, 2, 3, 4
 UsageError: Any = typer.BadParameter.__bases__[0]
 

@@ -7,6 +7,7 @@ import typer
 
 from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.sweep import FAILED_RUNS, print_result
+from warp_rigid.commands.terminal import note
 
 
 def merge_command(
@@ -37,7 +38,5 @@ def merge_command(
     print_result(result, [path for path in (output, plot) if path], as_json)
     missing = result.about["runs"] - len(result)
     if missing:
-        from warp_rigid.commands.terminal import note
-
         note(f"{missing} of {result.about['runs']} runs are missing from the tables")
     return FAILED_RUNS if missing or result.failed else 0

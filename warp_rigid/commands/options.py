@@ -8,8 +8,6 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
-__all__ = ["AsJson", "Device", "Envs", "Seed", "SimulatedScene", "takes"]
-
 Options = TypeVar("Options")
 Result = TypeVar("Result")
 

@@ -33,7 +33,7 @@ from warp_rigid.runs.recording import Recording
 from warp_rigid.runs.user_code import UserCodeError
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import shown_settings, shown_value
-from warp_rigid.usd import ImportReport, UsdStream, export_usd
+from warp_rigid.usd import UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
 
 CAPACITY, NON_FINITE, UNEXPECTED = 3, 4, 6
@@ -198,7 +198,8 @@ def run_command(options: RunOptions) -> int:
     plan = options.plan()
     checkpoints = options.checkpoints(plan)
     chosen = options.recorded(plan)
-    _print_import_report(plan.scene.import_report)
+    for finding in plan.scene.import_report.findings if plan.scene.import_report else ():
+        note(str(finding))
     _print_overlap(plan.sim)
     result, failure = _execute(options, plan, chosen, checkpoints)
     if failure is not None and options.written:
@@ -286,12 +287,6 @@ def _execute_to_usd(
         return runner.execute(plan, [], capture)
 
 
-def _print_import_report(report: ImportReport | None) -> None:
-    """Print each difference between the scene and its file."""
-    for finding in report.findings if report is not None else ():
-        note(str(finding))
-
-
 def _print_overlap(sim: Simulator) -> None:
     """Warn of bodies that start in each other, which move apart by themselves."""
     moving = [[body for body in scene.bodies if body.motion == Motion.DYNAMIC and body.active] for scene in sim.scenes]
@@ -333,7 +328,7 @@ def _export(recording, path: str, options: UsdOptions) -> None:
 
 def _draw(options: RunOptions, recording: Recording) -> None:
     """Write the requested images, videos and pages."""
-    if not (options.picture or options.film or options.contact_sheet or options.html):
+    if not any((options.picture, options.film, options.contact_sheet, options.html)):
         return
     from warp_rigid.render.images import save_contact_sheet, save_picture
     from warp_rigid.viewer.film_files import film_to_draw, write_film
@@ -352,12 +347,13 @@ def _draw(options: RunOptions, recording: Recording) -> None:
 def _print_summary(summary: dict[str, Any]) -> None:
     deepest = max(summary["deepest_penetration"], default=0.0)
     at_end = max(summary["penetration"], default=0.0)
+    rate = summary["env_frames_per_second"]
     lines = [
         f"{summary['scene']}: {summary['envs']} environment(s) of {summary['bodies']} bodies, "
         f"{summary['frames']} frames ({summary['time']:.4g} s) on {summary['device']}",
         f"{summary['contacts']} contacts, {summary['levels']} levels; deepest overlap "
         f"{1e3 * deepest:.3g} mm, at the end {1e3 * at_end:.3g} mm",
-        f"{summary['env_frames_per_second']:.4g} environment frames/s, {_frame_seconds(summary):.3g} s/frame "
+        f"{rate:.4g} environment frames/s, {summary['envs'] / rate if rate > 0.0 else 0.0:.3g} s/frame "
         f"(setup {summary['setup_seconds']:.2g} s)",
     ]
     lines += [f"{name}: {shown_settings(changes)}" for name, changes in summary["variants"].items()]
@@ -375,12 +371,6 @@ def _print_summary(summary: dict[str, Any]) -> None:
         if any(verdict["passed"] is not None for verdict in summary["verdicts"]):
             say(_conclusion(summary["verdicts"]))
     say_written(summary["files"])
-
-
-def _frame_seconds(summary: dict[str, Any]) -> float:
-    """Wall-clock time per frame of all environments [s]; 0 without frames."""
-    rate = summary["env_frames_per_second"]
-    return summary["envs"] / rate if rate > 0.0 else 0.0
 
 
 def _verdict_table(summary: dict[str, Any]) -> Table:

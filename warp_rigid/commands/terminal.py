@@ -24,10 +24,10 @@ PLAIN_WIDTH = 120
 """Width of tables if the output is not a terminal [characters]."""
 
 
-def console(stderr: bool = False) -> Console:
+def console() -> Console:
     """A console for the terminal, or of fixed width if the output is redirected."""
-    found = Console(stderr=stderr)
-    return found if found.is_terminal else Console(stderr=stderr, width=PLAIN_WIDTH)
+    found = Console()
+    return found if found.is_terminal else Console(width=PLAIN_WIDTH)
 
 
 def say(*lines: str) -> None:
@@ -58,10 +58,10 @@ def told_if_interrupted(describe, begun):
             raise
 
 
-def continued(context: Any, flag: str = "--resume") -> str:
-    """The command line of a Typer context with a flag, as text for the shell."""
+def continued(context: Any) -> str:
+    """The command line of a Typer context with --resume, as text for the shell."""
     given = context.obj or []
-    return shlex.join([*given, *(() if flag in given else (flag,))])
+    return shlex.join([*given, *(() if "--resume" in given else ("--resume",))])
 
 
 def note(text: str) -> None:

@@ -75,7 +75,7 @@ def view_command(options: ViewOptions) -> None:
             f"warning: --host {host}: other machines can connect without encryption; "
             "anyone with the token in the address can control the simulation"
         )
-    note(f"{options.scene} at {viewer.url} (press Ctrl-C to quit)")
+    note(f"{options.scene} at {viewer.server.url} (press Ctrl-C to quit)")
     try:
         viewer.run()
     except KeyboardInterrupt:

@@ -69,6 +69,18 @@ def examine(devices: list[str] | None = None) -> dict[str, Any]:
     }
 
 
+def git(*arguments: str) -> str:
+    """What git prints about the source checkout; "" for an installed package."""
+    checkout = Path(__file__).resolve().parents[2]
+    if not (checkout / ".git").exists():
+        return ""
+    try:
+        done = subprocess.run(["git", *arguments], cwd=checkout, capture_output=True, text=True, timeout=30)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip()
+
+
 def versions() -> dict[str, str]:
     """Versions of the package, of Python, of the system and of the libraries; "" for a missing library."""
     found = {"warp_rigid": __version__, "python": platform.python_version(), "system": platform.platform()}

@@ -77,16 +77,14 @@ def color_map(count: int) -> np.ndarray:
 
 def body_colors(motion, looks: Mapping[int, Look] | None = None) -> np.ndarray:
     """One colour a body, (bodies, 3) float32 in linear light: that of its look, else grey static, bright dynamic."""
-    palette = np.array([linear_color(code) for code in DYNAMIC_COLORS])
     motion = np.asarray(motion)
-    dynamic = motion == Motion.DYNAMIC
-    colors = palette[(np.cumsum(dynamic) - 1) % len(palette)]
+    colors = environment_colors(np.cumsum(motion == Motion.DYNAMIC) - 1)
     colors[motion == Motion.STATIC] = linear_color(STATIC_COLOR)
     colors[motion == Motion.KINEMATIC] = linear_color(KINEMATIC_COLOR)
     for body, look in (looks or {}).items():
         if look.color is not None:
             colors[body] = look.color
-    return colors.astype(np.float32)
+    return colors
 
 
 def body_gloss(count: int, looks: Mapping[int, Look]) -> np.ndarray:
@@ -247,8 +245,7 @@ class Spread:
     def __init__(self, recording: Recording):
         """Start with the bounds of the first frame."""
         self._moving = is_moving(recording.motion)
-        self._lower, self._upper = np.full(3, np.inf), np.full(3, -np.inf)
-        self._moving_lower, self._moving_upper = self._lower.copy(), self._upper.copy()
+        self._all, self._moved = ([np.full(3, np.inf), np.full(3, -np.inf)] for _ in range(2))
         self._reach = 0.0
         for index, surface in enumerate(recording.surfaces):
             bodies = np.flatnonzero(recording.surface == index)
@@ -256,8 +253,8 @@ class Spread:
                 continue
             turned = rotate(recording.orientation[0][:, bodies, None], bound_corners(surface.vertices))
             corners = turned + recording.position[0][:, bodies, None]
-            self._include(corners.reshape(-1, 3))
-            self._include_moving(corners[:, self._moving[bodies]].reshape(-1, 3))
+            _include(self._all, corners)
+            _include(self._moved, corners[:, self._moving[bodies]])
 
     def add(self, position: np.ndarray) -> None:
         """Add the positions of a frame, (envs, bodies, 3) [m]."""
@@ -266,12 +263,12 @@ class Spread:
             finite = sideways[np.isfinite(sideways)]
             self._reach = max(self._reach, float(np.percentile(finite, 98.0)) if finite.size else 0.0)
             extremes = np.percentile(position[:, self._moving].reshape(-1, 3), (5.0, 95.0), axis=0)
-            self._include(extremes)
-            self._include_moving(extremes)
+            _include(self._all, extremes)
+            _include(self._moved, extremes)
 
     def spacing(self) -> np.ndarray:
         """Distances between neighbouring environments along x and y, (2,) [m]."""
-        extent = (self._upper - self._lower)[:2]
+        extent = (self._all[1] - self._all[0])[:2]
         return np.where(np.isfinite(extent), np.maximum(SPACING * extent, 1e-3), 1.0)
 
     def moving_corners(self, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -279,26 +276,25 @@ class Spread:
 
         Without moving bodies, it is the box around all bodies.
         """
-        for lower, upper in ((self._moving_lower, self._moving_upper), (self._lower, self._upper)):
+        for lower, upper in (self._moved, self._all):
             if np.isfinite(lower).all() and np.isfinite(upper).all():
                 return lower + offsets.min(axis=0), upper + offsets.max(axis=0)
         return offsets.min(axis=0) - 1.0, offsets.max(axis=0) + 1.0
 
     def plane_width(self) -> float:
         """Width with which a level plane is drawn, so that the bodies stay on it [m]."""
-        extent = np.abs([self._lower[:2], self._upper[:2]])
+        extent = np.abs(self._all)[:, :2]
         first = float(extent.max()) if np.isfinite(extent).all() else 0.0
         return max(2.0 * DRAWN_HALF_WIDTH, PLANE_ROOM * max(first, self._reach))
 
-    def _include_moving(self, points: np.ndarray) -> None:
-        finite = points[np.isfinite(points).all(axis=-1)]
-        self._moving_lower = np.minimum(self._moving_lower, finite.min(axis=0, initial=np.inf))
-        self._moving_upper = np.maximum(self._moving_upper, finite.max(axis=0, initial=-np.inf))
 
-    def _include(self, points: np.ndarray) -> None:
-        finite = points[np.isfinite(points).all(axis=-1)]
-        self._lower = np.minimum(self._lower, finite.min(axis=0, initial=np.inf))
-        self._upper = np.maximum(self._upper, finite.max(axis=0, initial=-np.inf))
+def _include(box: list[np.ndarray], points: np.ndarray) -> None:
+    """Widen a box, its lower and upper corner, by the points (..., 3) that are finite."""
+    finite = points[np.isfinite(points).all(axis=-1)]
+    box[:] = (
+        np.minimum(box[0], finite.min(axis=0, initial=np.inf)),
+        np.maximum(box[1], finite.max(axis=0, initial=-np.inf)),
+    )
 
 
 def spread_of(recording: Recording) -> Spread:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,11 @@ from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import Camera, camera_of_text
 from warp_rigid.scene.scene import Motion
+
+INSTANCE_AXES = {
+    "mesh": 0, "color": -2, "position": 1, "orientation": 1, "env": 0, "body": 0, "dynamic": 0, "gloss": 0, "image": 0,
+}  # fmt: skip
+"""The arrays of a Film with an entry for each instance, and their axis of instances."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,21 +120,16 @@ class Film:
 
     def alone(self, env: int) -> "Film":
         """A film of one environment, translated back to the origin."""
-        kept = self.env == env
-        return replace(
-            self,
-            mesh=self.mesh[kept],
-            color=self.color[..., kept, :],
-            position=self.position[:, kept] - self.offset[env].astype(np.float32),
-            orientation=self.orientation[:, kept],
-            env=np.zeros(np.count_nonzero(kept), dtype=np.int64),
-            body=self.body[kept],
-            dynamic=self.dynamic[kept],
-            gloss=self.gloss[kept],
-            image=self.image[kept],
-            offset=np.zeros((1, 3)),
-            labels=(self.labels[env],),
-        )
+        kept = np.flatnonzero(self.env == env)
+        own = {name: getattr(self, name).take(kept, axis) for name, axis in INSTANCE_AXES.items()}
+        own["position"] = own["position"] - self.offset[env].astype(np.float32)
+        own["env"] = np.zeros_like(kept)
+        return replace(self, **own, offset=np.zeros((1, 3)), labels=(self.labels[env],))
+
+
+def concatenated(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """The arrays of instances that the last part of a film has, by the names of INSTANCE_AXES, of all parts as one."""
+    return {name: np.concatenate([part[name] for part in parts], INSTANCE_AXES[name]) for name in parts[-1]}
 
 
 def film_from_recording(recording: Recording) -> Film:
@@ -226,44 +227,42 @@ def _film_of_stage(stage) -> Film:
     frames = np.arange(codes.first, codes.last + 1)
     places = UsdGeom.XformCache()
     offset = np.array([places.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in envs])
-    meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
-    body, dynamic, gloss, paths = [], [], [], []
+    meshes, mesh_index, parts, paths = [], {}, [], []
     for index, group in groups:
-        read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
-        drawn, image, positions, turns, group_colors = read(group, frames)
+        several = group.IsA(UsdGeom.PointInstancer)
+        drawn, image, positions, turns, colors = (_read_instancer if several else _read_body)(group, frames)
         key = drawn.vertices.tobytes() + drawn.faces.tobytes() + (b"" if drawn.uv is None else drawn.uv.tobytes())
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
-        position.append(positions + offset[index].astype(np.float32))
-        orientation.append(turns)
-        color.append(group_colors)
-        mesh.append(np.full(positions.shape[1], mesh_index[key]))
-        env.append(np.full(positions.shape[1], index))
-        ids = group.GetAttribute("ids").Get() if group.IsA(UsdGeom.PointInstancer) else [count[index]]
-        body.append(np.array(ids, np.int64))
-        dynamic.append(np.full(len(body[-1]), custom_data(group).get("motion") == "dynamic"))
-        gloss.append(_read_gloss(group, len(body[-1])))
-        paths += [image] * len(body[-1])
+        body = np.array(group.GetAttribute("ids").Get() if several else [count[index]], np.int64)
+        parts.append(
+            {
+                "mesh": np.full(len(body), mesh_index[key]),
+                "color": colors,
+                "position": positions + offset[index].astype(np.float32),
+                "orientation": turns,
+                "env": np.full(len(body), index),
+                "body": body,
+                "dynamic": np.full(len(body), custom_data(group).get("motion") == "dynamic"),
+                "gloss": _read_gloss(group, len(body)),
+            }
+        )
+        paths += [image] * len(body)
         count[index] += 1
-    colors = np.concatenate(color, axis=1)
+    found = concatenated(parts)
+    if not (found["color"] != found["color"][0]).any():
+        found["color"] = found["color"][0]
     images, image_index = _numbered(paths)
     return Film(
+        **found,
+        image=image_index,
+        images=images,
         meshes=tuple(meshes),
-        mesh=np.concatenate(mesh),
-        color=colors if (colors != colors[0]).any() else colors[0],
-        position=np.concatenate(position, axis=1),
-        orientation=np.concatenate(orientation, axis=1),
         fps=stage.GetFramesPerSecond(),
-        env=np.concatenate(env),
         offset=offset,
         labels=tuple(prim.GetDisplayName() for prim in envs),
-        body=np.concatenate(body),
-        dynamic=np.concatenate(dynamic),
-        gloss=np.concatenate(gloss),
-        image=image_index,
         camera=_camera_of_stage(stage),
-        images=images,
     )
 
 

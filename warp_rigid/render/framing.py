@@ -155,24 +155,20 @@ class _Aim:
     """Direction and field of view of a camera.
 
     Attributes:
+        camera: the camera.
         back: unit vector from what it looks at to the camera.
     """
 
     def __init__(self, camera: Camera, aspect: float, height: int):
-        self._camera, self._aspect, self._height = camera, aspect, height
+        self.camera, self._aspect, self._height = camera, aspect, height
         self.back, self._right, self._up = camera_directions(camera)
         self._tall = math.tan(0.5 * math.radians(camera.field_of_view))
         self._wide = self._tall * aspect
 
     def raised(self) -> "_Aim":
         """A camera that looks from higher up."""
-        elevation = max(self._camera.elevation, min(self._camera.elevation + RAISE, HIGHEST))
-        return _Aim(replace(self._camera, elevation=elevation), self._aspect, self._height)
-
-    @property
-    def is_highest(self) -> bool:
-        """Whether it cannot be raised."""
-        return self._camera.elevation >= HIGHEST
+        elevation = max(self.camera.elevation, min(self.camera.elevation + RAISE, HIGHEST))
+        return _Aim(replace(self.camera, elevation=elevation), self._aspect, self._height)
 
     def fit(self, points: np.ndarray) -> tuple[np.ndarray, float]:
         """Position of the closest camera that has some points in view, and its distance from their middle [m]."""
@@ -182,12 +178,12 @@ class _Aim:
         center_across, distance_across = _middle(across, along, self._wide / MARGIN)
         center_above, distance_above = _middle(above, along, self._tall / MARGIN)
         depth, middle = max(distance_across, distance_above), float(np.median(along))
-        if self._camera.look_at is not None:
-            target = np.array(self._camera.look_at)
+        if self.camera.look_at is not None:
+            target = np.array(self.camera.look_at)
             depth = self.depth(points, target)
             center_across, center_above, middle = target @ self._right, target @ self._up, target @ self.back
-        if self._camera.distance is not None:
-            depth = middle + self._camera.distance
+        if self.camera.distance is not None:
+            depth = middle + self.camera.distance
         return center_across * self._right + center_above * self._up + depth * self.back, float(depth - middle)
 
     def depth(self, points: np.ndarray, eye: np.ndarray) -> float:
@@ -230,7 +226,7 @@ class _FittedPath:
         all_seen = np.concatenate([points_to_see(film, spaced) for film in films])
         relief = np.concatenate([_relief(film) for film in films])
         still, fits = aim.fit(all_seen), [aim.fit(points) for points in seen]
-        while not aim.is_highest and any(aim.is_blocked(*fit, relief) for fit in (still, *fits)):
+        while aim.camera.elevation < HIGHEST and any(aim.is_blocked(*fit, relief) for fit in (still, *fits)):
             aim = aim.raised()
             still, fits = aim.fit(all_seen), [aim.fit(points) for points in seen]
         self._aim, self._still, self._grid = aim, still, grid_length(still[1])

@@ -73,13 +73,12 @@ def save_contact_sheet(film: Film, path, count: int = 8) -> None:
     last = event_end(film)
     studio = _Studio(film, range(last + 1), *SHEET_SIZE)
     frames = np.unique(np.linspace(0, last, count).round().astype(int))
-    rows = [[] for _ in range(studio.num_panels)]
-    for frame in frames:
-        for row, image in zip(rows, studio.draw(frame), strict=True):
+    drawn = [studio.draw(frame) for frame in frames]
+    for frame, panels in zip(frames, drawn, strict=True):
+        for image in panels:
             _write(image, f"{frame / film.fps:.2f} s", (10, 8), "la")
-            row.append(image)
-    columns = len(frames) if len(rows) > 1 else math.ceil(len(frames) / 2)
-    _save(_tiled(sum(rows, []), columns), path, format="PNG")
+    columns = len(frames) if len(drawn[0]) > 1 else math.ceil(len(frames) / 2)
+    _save(_tiled([image for row in zip(*drawn, strict=True) for image in row], columns), path, format="PNG")
 
 
 def save_film(film: Film, path, width: int | None = None, height: int | None = None, on_frame: Progress = None) -> None:
@@ -182,10 +181,6 @@ class _Studio:
         self._casters = [RayCaster(panel, self._path.mean) for panel in films]
         self._labels = film.labels if several else ("",)
         self._size = width, height
-
-    @property
-    def num_panels(self) -> int:
-        return len(self._casters)
 
     def draw(self, frame: int) -> list:
         """Render the labelled panels of a frame as Pillow images."""

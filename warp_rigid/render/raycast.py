@@ -453,7 +453,9 @@ class RayCaster:
         corners = rotate(orientation[:, :, None], self._corners[film.moving][None]) + times[:, :, None]
         points = np.concatenate([times[:, :, None], corners], axis=2).reshape(-1, 3)
         local = rotate(inverse(film.orientation[0][fixed]), points - film.position[0][fixed])
-        inside = within_hull(local, film.meshes[film.mesh[fixed]].vertices).reshape(-1, 9)
+        directions, _ = geodesic(4)  # 162, which stand for all
+        reach = (film.meshes[film.mesh[fixed]].vertices @ directions.T).max(axis=0)
+        inside = (local @ directions.T <= reach).all(axis=1).reshape(-1, 9)
         return inside[:, 0] & (inside[:, 1:].mean(axis=1) >= 0.5)
 
     def _move_vertices(self, frame: int) -> None:
@@ -517,12 +519,6 @@ def endless_planes(film: Film) -> np.ndarray:
     """
     square = film.flat & ~film.moving & (np.array([len(mesh.faces) for mesh in film.meshes])[film.mesh] == 2)
     return square & (film.level | (len(film.labels) == 1))
-
-
-def within_hull(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """(points,) True for points that are not outside the convex hull of the vertices in any of 162 directions."""
-    directions, _ = geodesic(4)
-    return (points @ directions.T <= (vertices @ directions.T).max(axis=0)).all(axis=1)
 
 
 def _edges(picture: np.ndarray) -> np.ndarray:

@@ -1,14 +1,16 @@
 """Strings: distance joints drawn as thin tubes between their anchors."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from warp_rigid.render.appearance import body_gloss, corner_normals
-from warp_rigid.render.film import DrawnMesh, Film
+from warp_rigid.render.film import DrawnMesh, Film, concatenated
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.joints import DistanceJoint
 from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes.tessellation import triangulate_quads
 
 SIDES = 6
 """Sides of a tube."""
@@ -35,22 +37,18 @@ def with_strings(film: Film, recording: Recording) -> Film:
         return film
     meshes = [_tubes(film, scene, entries, row) for row in range(len(film.offset))]
     frames, count = film.num_frames, len(meshes)
-    color = np.broadcast_to(np.array(COLOR, np.float32), (*film.color.shape[:-2], count, 3))
-    still = np.broadcast_to(np.array((0, 0, 0, 1), np.float32), (frames, count, 4))
-    place = np.broadcast_to(film.offset.astype(np.float32), (frames, count, 3))
-    return replace(
-        film,
-        meshes=(*film.meshes, *meshes),
-        mesh=np.concatenate([film.mesh, len(film.meshes) + np.arange(count)]),
-        color=np.concatenate([film.color, color], axis=-2),
-        position=np.concatenate([film.position, place], axis=1),
-        orientation=np.concatenate([film.orientation, still], axis=1),
-        env=np.concatenate([film.env, np.arange(count)]),
-        body=np.concatenate([film.body, np.full(count, -1)]),
-        dynamic=np.concatenate([film.dynamic, np.zeros(count, bool)]),
-        gloss=np.concatenate([film.gloss, body_gloss(count, {})]),
-        image=np.concatenate([film.image, np.full(count, -1)]),
-    )
+    strings: dict[str, Any] = {
+        "mesh": len(film.meshes) + np.arange(count),
+        "color": np.broadcast_to(np.array(COLOR, np.float32), (*film.color.shape[:-2], count, 3)),
+        "position": np.broadcast_to(film.offset.astype(np.float32), (frames, count, 3)),
+        "orientation": np.broadcast_to(np.array((0, 0, 0, 1), np.float32), (frames, count, 4)),
+        "env": np.arange(count),
+        "body": np.full(count, -1),
+        "dynamic": np.zeros(count, bool),
+        "gloss": body_gloss(count, {}),
+        "image": np.full(count, -1),
+    }
+    return replace(film, meshes=(*film.meshes, *meshes), **concatenated([vars(film), strings]))
 
 
 def _tubes(film: Film, scene: Scene, entries: list, row: int) -> DrawnMesh:
@@ -65,8 +63,7 @@ def _tubes(film: Film, scene: Scene, entries: list, row: int) -> DrawnMesh:
         vertices.append(_tube(first, second, radius))
     shown = np.concatenate(vertices, axis=1).astype(np.float32)
     k = np.arange(SIDES)
-    quads = np.stack([2 * k, 2 * ((k + 1) % SIDES), 2 * ((k + 1) % SIDES) + 1, 2 * k + 1], axis=1)
-    sides = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    sides = triangulate_quads(np.stack([2 * k, 2 * ((k + 1) % SIDES), 2 * ((k + 1) % SIDES) + 1, 2 * k + 1], axis=1))
     faces = np.concatenate([2 * SIDES * number + sides for number in range(len(entries))]).astype(np.int32)
     return DrawnMesh(shown[0], faces, corner_normals(shown[0], faces), tuple(shown))
 

@@ -2,17 +2,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from warp_rigid.scene.scene import Body
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.scene.shapes.heightfield import moves
-
-
-def _no_swing() -> np.ndarray:
-    """The swing of a surface of constant shape."""
-    return np.zeros((2, 0), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +28,7 @@ class DrawnSurface:
     vertices: np.ndarray
     faces: np.ndarray
     endless: bool = False
-    swing: np.ndarray = field(default_factory=_no_swing)
+    swing: np.ndarray = field(default_factory=lambda: np.zeros((2, 0), np.float32))
     angular_frequency: float = 0.0
     uv: np.ndarray | None = None
 
@@ -63,17 +59,16 @@ def surfaces_of(bodies: Iterable[Body]) -> tuple[tuple[DrawnSurface, ...], np.nd
 def drawn_surface(shape: Shape) -> DrawnSurface:
     """The surface that represents a shape in drawings and exports."""
     vertices, faces = shape.surface()
-    swing, frequency = _no_swing(), 0.0
+    motion: dict[str, Any] = {}
     if moves(shape):
         vertices = vertices.copy()
         vertices[:, 2] = shape.heights.reshape(-1)
         parts = shape.amplitude * np.array([np.cos(shape.phase), np.sin(shape.phase)])
-        swing, frequency = parts.reshape(2, -1).astype(np.float32), shape.angular_frequency
+        motion = {"swing": parts.reshape(2, -1).astype(np.float32), "angular_frequency": shape.angular_frequency}
     return DrawnSurface(
         np.asarray(vertices, dtype=np.float32),
         np.asarray(faces, dtype=np.int32),
         not np.isfinite(np.asarray(shape.bounds)).all(),
-        swing,
-        frequency,
-        shape.surface_uv(),
+        uv=shape.surface_uv(),
+        **motion,
     )

@@ -308,10 +308,11 @@ class Recorder:
 
     def snapshot(self, sim) -> Frame:
         """Return the current state without storing it."""
+        contacts = sim.contacts() if self._contacts else None  # of all environments, by their index in the simulation
         return Frame(
             time=float(sim.time),
             **{name: self._rows(sim, name, dtype) for name, dtype in self._captured.items()},
-            contacts=self._contacts_of(sim) if self._contacts else None,
+            contacts=None if contacts is None else contacts[np.isin(contacts["env"], self.envs)],
         )
 
     def _rows(self, sim, name: str, dtype) -> np.ndarray:
@@ -369,11 +370,6 @@ class Recorder:
 
     def _contact_frames(self) -> tuple[np.ndarray, ...]:
         return tuple(frame.contacts for frame in self._frames if frame.contacts is not None)
-
-    def _contacts_of(self, sim) -> np.ndarray:
-        """Contacts of the recorded environments; `env` is the index in the simulation."""
-        records = sim.contacts()
-        return records[np.isin(records["env"], self.envs)]
 
 
 def _common_scene(sim, envs: np.ndarray) -> Scene:

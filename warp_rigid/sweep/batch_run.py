@@ -323,7 +323,10 @@ def _rows(
     sim: Simulator, runs: Sequence[Run], columns: dict, peak_counts: np.ndarray, failures: Failures
 ) -> list[dict[str, Any]]:
     """One row per run; the metrics of a failed simulation are None."""
-    lists = {name: _plain_list(values) for name, values in columns.items()}
+    lists = {
+        name: [None if isinstance(x, float) and not np.isfinite(x) else x for x in np.asarray(values).tolist()]
+        for name, values in columns.items()
+    }
     rows = []
     for env, (run, record) in enumerate(zip(runs, sim.status(), strict=True)):
         status, raised = str(record["status"]), failures.reasons[env]
@@ -356,9 +359,3 @@ def _reason(sim: Simulator, env: int, record: Any) -> str | None:
     body = int(record["body"])
     name = sim.scenes[sim.scene_of[env]].bodies[body].name if body >= 0 else "none"
     return f"{record['status']} since step {record['step']}, body {body} ({name})"
-
-
-def _plain_list(values: np.ndarray) -> list:
-    """Values as plain Python; None if not finite."""
-    listed = np.asarray(values).tolist()
-    return [None if isinstance(value, float) and not np.isfinite(value) else value for value in listed]

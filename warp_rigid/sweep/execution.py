@@ -3,7 +3,6 @@
 import functools
 import logging
 import platform
-import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
@@ -17,6 +16,7 @@ import warp as wp
 
 from warp_rigid import progress_bar
 from warp_rigid.checks import number_in, shown, whole_in
+from warp_rigid.diagnostics.machine import git
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.progress_bar import Advance
 from warp_rigid.runs.user_code import column_name
@@ -342,14 +342,7 @@ def _check_names(job: Job, runs: list[Run]) -> None:
 @functools.cache
 def _commit() -> str | None:
     """Commit of the source checkout; None for an installed package."""
-    folder = Path(__file__).resolve().parents[2]
-    if not (folder / ".git").exists():
-        return None
-    try:
-        command = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--dirty"]
-        return subprocess.run(command, capture_output=True, text=True, timeout=5).stdout.strip() or None
-    except (OSError, subprocess.TimeoutExpired):
-        return None
+    return git("describe", "--always", "--abbrev=40", "--dirty") or None
 
 
 def _now() -> str:

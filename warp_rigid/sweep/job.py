@@ -267,14 +267,10 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
     else:
         check_vectors(plain, value)
         vector = finite_vector(name, value if np.ndim(value) else (value,) * 3)
-        for index in chosen if any(vector) else ():
-            _check_velocity(scene.bodies[index], name, plain)
-
-
-def _check_velocity(body: Body, name: str, plain: str) -> None:
-    """Check that one of the selected bodies can have a quantity that is not 0."""
-    if plain in LACKED and body.motion == (Motion.DYNAMIC if plain in SURFACE_VELOCITIES else Motion.STATIC):
-        raise ValueError(f"{name}: must be 0 for {body.name}, which is {body.motion.name.lower()}")
+        lacking = Motion.DYNAMIC if plain in SURFACE_VELOCITIES else Motion.STATIC
+        for body in [scene.bodies[index] for index in chosen] if any(vector) and plain in LACKED else ():
+            if body.motion == lacking:
+                raise ValueError(f"{name}: must be 0 for {body.name}, which is {body.motion.name.lower()}")
 
 
 def _check_mass(body: Body, name: str, value: Any) -> None:

@@ -73,10 +73,8 @@ def _as_optuna(name: str, axis: list | Distribution) -> Any:
     """Convert an axis to an Optuna distribution."""
     from optuna import distributions
 
-    if isinstance(axis, list):
-        return distributions.CategoricalDistribution(axis)
-    if isinstance(axis, Choice):
-        return distributions.CategoricalDistribution(axis.values)
+    if isinstance(axis, list | Choice):
+        return distributions.CategoricalDistribution(axis if isinstance(axis, list) else axis.values)
     if isinstance(axis, Integers):
         return distributions.IntDistribution(axis.low, axis.high)
     if isinstance(axis, Uniform | LogUniform):

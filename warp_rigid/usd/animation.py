@@ -78,7 +78,10 @@ class Instancers:
             self._define_group(samples, f"{root}/{name}", group, library, frame)
             look = looks.get(int(bodies[0]))
             if look and look.image:
-                self._paint(samples.layer, f"{root}/{name}/Prototypes", colors[bodies[0]], look, library)
+                prototypes = f"{root}/{name}/Prototypes"
+                define_surface(samples.layer, f"{prototypes}/paint", colors[bodies[0]], look, library.images)
+                prototype = define(samples.layer, f"{prototypes}/shape", "Mesh", ["MaterialBindingAPI"])
+                set_relationship(prototype, "material:binding", f"{prototypes}/paint")
             self._paths |= dict.fromkeys(bodies.tolist(), f"{root}/{name}")
             self._groups.append(group)
 
@@ -118,13 +121,6 @@ class Instancers:
             attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)
             group.tracks[name] = samples.track(attribute)
 
-    @staticmethod
-    def _paint(layer: Sdf.Layer, prototypes: str, color: np.ndarray, look: Look, library: Library) -> None:
-        """Give the prototype of instances a material with the image of their look."""
-        define_surface(layer, f"{prototypes}/paint", color, look, library.images)
-        prototype = define(layer, f"{prototypes}/shape", "Mesh", ["MaterialBindingAPI"])
-        set_relationship(prototype, "material:binding", f"{prototypes}/paint")
-
     def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
         """Write the values that changed since the previous frame."""
         colors = None if self._color in CONSTANT_COLORINGS else frame_colors(self._color, self._film, self._row, frame)
@@ -138,8 +134,8 @@ class Instancers:
             surface = self._film.surfaces[self._film.surface[group.bodies[0]]]
             if surface.moves:
                 group.corners = bound_corners(surface.vertices_at(frame.time))
-                values |= _pose_values(group)
-            if not (np.array_equal(position, group.position) and np.array_equal(orientation, group.orientation)):
+            still = np.array_equal(position, group.position) and np.array_equal(orientation, group.orientation)
+            if surface.moves or not still:
                 group.position, group.orientation = position, orientation
                 values |= _pose_values(group)
             if colors is not None and not np.array_equal(colors[group.bodies], group.color):

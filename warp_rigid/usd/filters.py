@@ -33,9 +33,7 @@ def filter_pairs(
     size = Counter(body_of.values())
     colliders = Counter(tuple(sorted((body_of[one], body_of[other]))) for one, other in filtered)
     for (a, b), count in sorted(colliders.items()):
-        if a == b:
-            continue
-        if scene.bodies[a].motion != Motion.DYNAMIC and scene.bodies[b].motion != Motion.DYNAMIC:
+        if a == b or Motion.DYNAMIC not in (scene.bodies[a].motion, scene.bodies[b].motion):
             continue
         if count == size[a] * size[b]:
             scene.filter_pair(a, b)

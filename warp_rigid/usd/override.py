@@ -8,6 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from warp_rigid import rotations
 from warp_rigid.runs.recording import Recording
+from warp_rigid.usd.geometry import precise_quaternions
 from warp_rigid.usd.metadata import FROM_Y_UP, first_time, is_y_up, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import matrix_of
@@ -81,9 +82,7 @@ def _conversion(stage: Usd.Stage, cache: UsdGeom.XformCache, root: str | None) -
 def _rigid(position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
     """Matrices (n, 4, 4) of poses, `matrix @ local = world`."""
     matrices = np.tile(np.eye(4), (len(position), 1, 1))
-    unit = orientation.astype(np.float64)
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    matrices[:, :3, :3] = [rotations.matrix(q) for q in unit]
+    matrices[:, :3, :3] = rotations.matrix(precise_quaternions(orientation))
     matrices[:, :3, 3] = position
     return matrices
 

@@ -70,11 +70,15 @@ def _texture(source: UsdShade.Shader | None) -> Texture | None:
     asset = _value(source, "file") if _kind(source) == "UsdUVTexture" else None
     if not isinstance(asset, Sdf.AssetPath) or not asset.resolvedPath:
         return None
-    transform = {}
+    transform: dict[str, Any] = {}
     reader = _source(source, "st")
     if _kind(reader) == "UsdTransform2d":
         found = {name: _value(reader, name) for name in ("scale", "rotation", "translation")}
-        transform = {name: _plain(value) for name, value in found.items() if value is not None}
+        transform = {
+            name: tuple(value) if isinstance(value, Gf.Vec2f) else float(value)
+            for name, value in found.items()
+            if value is not None
+        }
         reader = _source(reader, "in")
     name = _value(reader, "varname") if _kind(reader).startswith("UsdPrimvarReader") else None
     return Texture(str(asset.resolvedPath), str(name or "st"), **transform)
@@ -88,11 +92,6 @@ def _named_image(source: UsdShade.Shader | None) -> str | None:
         if isinstance(asset, Sdf.AssetPath) and asset.path and stack:
             return str(asset.resolvedPath or stack[0].layer.ComputeAbsolutePath(asset.path))
     return None
-
-
-def _plain(value: Any) -> Any:
-    """A number or a vector of USD as plain numbers."""
-    return tuple(value) if isinstance(value, Gf.Vec2f) else float(value)
 
 
 def _kind(shader: UsdShade.Shader | None) -> str:

@@ -117,6 +117,7 @@ class Reader:
         self._transforms = UsdGeom.XformCache(self._start)
         self.meter = meters_per_unit(self.stage)
         self.kilogram = kilograms_per_unit(self.stage)
+        self._below = list(Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()))
         self._to_z_up = FROM_Y_UP if is_y_up(self.stage) else np.eye(3)
         self._shapes: dict[str, Shape] = {}
         self.body_of: dict[str, int] = {}
@@ -158,7 +159,7 @@ class Reader:
     def _read_cameras(self, scene: Scene) -> None:
         """Read the cameras of the file; the scene gets the only one."""
         middle = np.median([body.position for body in scene.bodies], axis=0) if scene.bodies else np.zeros(3)
-        for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
+        for prim in self._below:
             if prim.IsA(UsdGeom.Camera):
                 try:
                     position, rotation, _ = self._frame(prim, self._transforms)
@@ -185,7 +186,7 @@ class Reader:
             if kind not in SUPPORTED:
                 for path in paths:
                     self.leave_out(path, f"{str(kind).rpartition('.')[2]} is not supported: bodies move freely")
-        for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
+        for prim in self._below:
             unsupported = [
                 schema
                 for schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
@@ -200,7 +201,7 @@ class Reader:
     def _report_surfaces(self, bodies: list[_Body]) -> None:
         """Report surfaces that run, but not on a static or kinematic body."""
         running = {str(body.prim.GetPath()) for body in bodies if body.motion != Motion.DYNAMIC}
-        for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
+        for prim in self._below:
             if has_surface_motion(prim) and str(prim.GetPath()) not in running:
                 self.leave_out(prim.GetPath(), "only the surface of a static or kinematic body can run")
 
@@ -242,10 +243,7 @@ class Reader:
                 owner = str(group.GetPath())
                 bodies.setdefault(owner, _Body(group, Motion.STATIC))
             bodies[owner].colliders.append(prim)
-        order = {
-            str(prim.GetPath()): index
-            for index, prim in enumerate(Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()))
-        }
+        order = {str(prim.GetPath()): index for index, prim in enumerate(self._below)}
         for body in bodies.values():
             body.colliders.sort(key=lambda prim: order[str(prim.GetPath())])
         return [bodies[path] for path in sorted(bodies, key=lambda path: order[path])]
@@ -271,22 +269,17 @@ class Reader:
         if not found:
             self._add_without_colliders(scene, body, position, rotation, stretch)
             return
-        endless = [collider for collider in found if collider.shape.static_only]
-        if body.motion == Motion.STATIC:
-            solid = [collider for collider in found if not collider.shape.static_only]
-            groups = [[collider] for collider in endless] + ([solid] if solid else [])
-        else:
-            fields = [collider for collider in endless if isinstance(collider.shape, Heightfield)]
-            kept = fields if body.motion == Motion.KINEMATIC else []
-            for collider in endless:
-                if collider not in kept:
-                    self.leave_out(collider.prim.GetPath(), "planes and height fields cannot be dynamic")
-            groups = [[collider] for collider in kept]
-            groups.append([collider for collider in found if not collider.shape.static_only])
+        groups = []
+        for collider in found:
+            moves = body.motion == Motion.KINEMATIC and isinstance(collider.shape, Heightfield)
+            if collider.shape.static_only and (moves or body.motion == Motion.STATIC):
+                groups.append([collider])
+            elif collider.shape.static_only:
+                self.leave_out(collider.prim.GetPath(), "planes and height fields cannot be dynamic")
+        groups.append([collider for collider in found if not collider.shape.static_only])
         motion = self._motion(body)
-        for group in groups:
-            if group:
-                self._add_group(scene, body, group, (position, rotation, stretch), motion)
+        for group in filter(None, groups):
+            self._add_group(scene, body, group, (position, rotation, stretch), motion)
 
     @property
     def _masses(self) -> MassReader:
@@ -322,8 +315,10 @@ class Reader:
             "position": position + rotation @ place_in_body,
             "orientation": quaternion_of_matrix(rotation @ rotations.matrix(orientation)),
             "name": body.prim.GetDisplayName() or body.prim.GetName(),
-            **self._coefficients(body, group),
+            **group[0].coefficients,
         }
+        if any(collider.coefficients != group[0].coefficients for collider in group):
+            self.change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
         try:
             if body.motion != Motion.DYNAMIC:
                 surface = read_surface_motion(body.prim, rotation, stretch, self._to_z_up, self.meter)
@@ -415,11 +410,6 @@ class Reader:
             return {}, None
         found = read_material(material, self.meter, partial(self.change, prim))
         return found, positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())
-
-    def _coefficients(self, body: _Body, group: list[Collider]) -> dict[str, float]:
-        if any(collider.coefficients != group[0].coefficients for collider in group):
-            self.change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
-        return group[0].coefficients
 
     def _velocities(self, prim: Usd.Prim, rotation: np.ndarray, center: np.ndarray) -> dict[str, Any]:
         """Velocities in the world frame; USD has them in the body frame, in degrees, as is the centre of mass."""

@@ -41,9 +41,7 @@ class Bodies:
         self._film, self._row, self._color, self._several = film, row, color, several
         self._scene = film.scene
         self._paths: list[str] = []
-        self._translate_tracks: list[Track] = []
-        self._orient_tracks: list[Track] = []
-        self._color_tracks: list[Track] = []
+        self._tracks: dict[str, list[Track]] = {"place": [], "orientation": [], "color": []}
 
     def define(self, samples: SampleWriter, root: str, library: Library, frame: Frame) -> None:
         """Define the prims, with the values of the first frame as default values.
@@ -123,12 +121,8 @@ class Bodies:
         hue = set_attribute(
             prim, "primvars:displayColor", NAMES.Color3fArray, vec3f([self._colors[index]]), interpolation="constant"
         )
-        for tracks, attribute in (
-            (self._translate_tracks, place),
-            (self._orient_tracks, orientation),
-            (self._color_tracks, hue),
-        ):
-            tracks.append(samples.track(attribute))
+        for name, attribute in (("place", place), ("orientation", orientation), ("color", hue)):
+            self._tracks[name].append(samples.track(attribute))
         if index in self._film.looks:
             for name in ("roughness", "metallic"):
                 value = [getattr(self._film.looks[index], name)]
@@ -162,21 +156,17 @@ class Bodies:
         orientation[np.einsum("ij,ij->i", orientation, self._orientation) < 0.0] *= -1.0
         moved = np.flatnonzero((position != self._position).any(axis=1))
         values = Vt.Vec3dArray.FromNumpy(position[moved].astype(np.float64))
-        samples.put([self._translate_tracks[index] for index in moved.tolist()], time, values)
+        samples.put([self._tracks["place"][index] for index in moved.tolist()], time, values)
         rotated = np.flatnonzero((orientation != self._orientation).any(axis=1))
         values = Vt.QuatdArray.FromNumpy(precise_quaternions(orientation[rotated]))
-        samples.put([self._orient_tracks[index] for index in rotated.tolist()], time, values)
+        samples.put([self._tracks["orientation"][index] for index in rotated.tolist()], time, values)
         self._position, self._orientation = position.copy(), orientation
         if self._color not in CONSTANT_COLORINGS:
-            self._sample_colors(samples, time, frame)
-
-    def _sample_colors(self, samples: SampleWriter, time: float, frame: Frame) -> None:
-        colors = frame_colors(self._color, self._film, self._row, frame)
-        changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()
-        samples.put(
-            [self._color_tracks[index] for index in changed], time, [vec3f([colors[index]]) for index in changed]
-        )
-        self._colors = colors
+            colors = frame_colors(self._color, self._film, self._row, frame)
+            changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()
+            tracks = [self._tracks["color"][index] for index in changed]
+            samples.put(tracks, time, [vec3f([colors[index]]) for index in changed])
+            self._colors = colors
 
 
 def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray) -> None:

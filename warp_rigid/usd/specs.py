@@ -4,6 +4,7 @@ A stage recomposes after every change, which is about a hundred times slower.
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,7 @@ def set_relationship(prim: Sdf.PrimSpec, name: str, *targets: Any) -> None:
     relationship.targetPathList.explicitItems = [Sdf.Path(str(target)) for target in targets]
 
 
+@dataclass(slots=True, eq=False)
 class Track:
     """One attribute over time.
 
@@ -140,14 +142,10 @@ class Track:
         written: time code of the latest sample; None before the first.
     """
 
-    __slots__ = ("path", "type_name", "value", "written")
-
-    def __init__(self, attribute: Sdf.AttributeSpec):
-        """Start with the default value of the attribute."""
-        self.path = attribute.path
-        self.type_name = attribute.typeName
-        self.value = attribute.default
-        self.written: float | None = None
+    path: Sdf.Path
+    type_name: Sdf.ValueTypeName
+    value: Any
+    written: float | None = None
 
 
 class SampleWriter:
@@ -167,7 +165,7 @@ class SampleWriter:
 
     def track(self, attribute: Sdf.AttributeSpec) -> Track:
         """Track an attribute whose default value is that of the first frame."""
-        made = Track(attribute)
+        made = Track(attribute.path, attribute.typeName, attribute.default)
         self.tracks.append(made)
         return made
 

@@ -100,21 +100,18 @@ class UsdWriter:
             OSError: A file cannot be written, now or earlier.
         """
         with self._writing():
-            self._write(frame)
-
-    def _write(self, frame: Frame) -> None:
-        with Sdf.ChangeBlock():
-            if self._frames == 0:
-                self._define(frame)
-            else:
-                for samples, writer in self._writers:
-                    writer.sample(samples, float(self._frames), frame)
-                self._library.sample(float(self._frames), frame.time)
-                self._camera.sample(float(self._frames), frame)
-        self._spread.add(frame.position[self._rows])
-        self._frames += 1
-        if self._live and self._frames - self._flushed >= self._flush_interval():
-            self.flush()
+            with Sdf.ChangeBlock():
+                if self._frames == 0:
+                    self._define(frame)
+                else:
+                    for samples, writer in self._writers:
+                        writer.sample(samples, float(self._frames), frame)
+                    self._library.sample(float(self._frames), frame.time)
+                    self._camera.sample(float(self._frames), frame)
+            self._spread.add(frame.position[self._rows])
+            self._frames += 1
+            if self._live and self._frames - self._flushed >= self._flush_interval():
+                self.flush()
 
     def _flush_interval(self) -> int:
         """Maximum number of unflushed frames.
@@ -151,23 +148,20 @@ class UsdWriter:
             OSError: A file cannot be written, now or earlier.
         """
         with self._writing():
-            self._finish()
-
-    def _finish(self) -> None:
-        if self._frames:
-            with Sdf.ChangeBlock():
-                self._arrange()
-        if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
-            self.flush()
-        if self._is_package:
-            self._pack()
-        elif self._live and self._profile == "scene":
-            for layer in self._layers:  # without the data that later flushes replaced
-                export_layer(layer, Path(layer.realPath))
-        if self._folder and not self._is_package:
-            replace_files(self._folder, self._path.parent)
-            reload_layer(self._path)
-        self.discard()
+            if self._frames:
+                with Sdf.ChangeBlock():
+                    self._arrange()
+            if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
+                self.flush()
+            if self._is_package:
+                self._pack()
+            elif self._live and self._profile == "scene":
+                for layer in self._layers:  # without the data that later flushes replaced
+                    export_layer(layer, Path(layer.realPath))
+            if self._folder and not self._is_package:
+                replace_files(self._folder, self._path.parent)
+                reload_layer(self._path)
+            self.discard()
 
     def discard(self) -> None:
         """Remove what is not published yet."""

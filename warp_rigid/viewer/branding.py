@@ -14,9 +14,9 @@ ICON = (
 )
 
 
-def own_title(page: str, title: str = "warp_rigid") -> str:
+def own_title(page: str) -> str:
     """The text of one of viser's pages with another title and icon."""
-    page = page.replace("<title>Viser</title>", f"<title>{title}</title>", 1)
+    page = page.replace("<title>Viser</title>", "<title>warp_rigid</title>", 1)
     return re.sub(r'(rel="icon"\s+href=")[^"]*', lambda found: found[1] + ICON, page, count=1)
 
 

@@ -125,9 +125,6 @@ def check_value(widget: Any, value: Any) -> None:
         slack = ROUNDING * (widget.max - widget.min)
         if not _is_number(value) or not widget.min - slack <= value <= widget.max + slack:
             raise ValueError(f"{widget.label}: must be in [{widget.min:g}, {widget.max:g}], got {_short(value)}")
-    elif isinstance(widget, viser.GuiNumberHandle):
-        if not _is_number(value) or abs(value) > FARTHEST:
-            raise ValueError(f"{widget.label}: must be in [{-FARTHEST:g}, {FARTHEST:g}], got {_short(value)}")
     elif isinstance(widget, viser.GuiCheckboxHandle):
         if not isinstance(value, bool):
             raise ValueError(f"{widget.label}: must be true or false, got {_short(value)}")

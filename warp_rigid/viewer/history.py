@@ -29,46 +29,42 @@ class Moment:
 
 
 class History:
-    """Keeps moments; the oldest are dropped."""
+    """Keeps moments; the oldest are dropped.
+
+    Attributes:
+        moments: all of them, in their order.
+    """
 
     def __init__(self) -> None:
         """Start empty."""
-        self._moments: deque[Moment] = deque()
-
-    def __len__(self) -> int:
-        """Number of moments."""
-        return len(self._moments)
+        self.moments: deque[Moment] = deque()
 
     def clear(self) -> None:
         """Remove all frames."""
-        self._moments.clear()
+        self.moments.clear()
 
     def add(self, time: float, sim: Any) -> None:
         """Keep the present state, unless the last moment is too recent."""
-        if self._moments and time - self._moments[-1].time < 1.0 / RATE - 1e-9:
+        if self.moments and time - self.moments[-1].time < 1.0 / RATE - 1e-9:
             return
-        self._moments.append(Moment(time, {name: sim.get(name) for name in QUANTITIES}))
+        self.moments.append(Moment(time, {name: sim.get(name) for name in QUANTITIES}))
         most = max(2, MOST_NUMBERS // max(1, 13 * sim.num_envs * sim.num_bodies))
-        while time - self._moments[0].time > LENGTH or len(self._moments) > most:
-            self._moments.popleft()
+        while time - self.moments[0].time > LENGTH or len(self.moments) > most:
+            self.moments.popleft()
 
     @property
     def length(self) -> float:
         """Time between the first and the last moment [s]."""
-        return self._moments[-1].time - self._moments[0].time if self._moments else 0.0
+        return self.moments[-1].time - self.moments[0].time if self.moments else 0.0
 
     def at(self, back: float) -> Moment | None:
         """The moment nearest to `back` seconds before the last one."""
-        if not self._moments:
+        if not self.moments:
             return None
-        wanted = self._moments[-1].time - back
-        return min(self._moments, key=lambda moment: abs(moment.time - wanted))
+        wanted = self.moments[-1].time - back
+        return min(self.moments, key=lambda moment: abs(moment.time - wanted))
 
     def forget_after(self, time: float) -> None:
         """Remove the frames after a time."""
-        while self._moments and self._moments[-1].time > time:
-            self._moments.pop()
-
-    def moments(self) -> list[Moment]:
-        """All moments, in their order."""
-        return list(self._moments)
+        while self.moments and self.moments[-1].time > time:
+            self.moments.pop()

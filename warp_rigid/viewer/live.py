@@ -110,11 +110,6 @@ class LiveViewer:
             lambda client: threading.Thread(target=self._welcome, args=(client,), daemon=True).start()
         )
 
-    @property
-    def url(self) -> str:
-        """Address of the page, with the token."""
-        return self.server.url
-
     def run(self) -> None:
         """Step and show until `stop`; the simulation waits while no page is open."""
         last = due = time.perf_counter()
@@ -140,8 +135,8 @@ class LiveViewer:
                         self._attempt(self._panel.inspect, self.session, *self.chosen)
                 changed &= not watched
                 due = max(due + PERIOD, time.perf_counter())
-            elif not (watched and self.session.behind):
-                self._rest_until(due)
+            elif not (watched and self.session.behind) and self._wishes.empty():
+                time.sleep(max(0.0, due - time.perf_counter()))
         stop_server(self.server)
 
     def stop(self) -> None:
@@ -231,7 +226,7 @@ class LiveViewer:
 
     def loop(self, on: bool) -> None:
         """Show the last seconds again and again, or return to the present."""
-        self._looping = on and len(self.history) > 1
+        self._looping = on and len(self.history.moments) > 1
         self._past, self._loop_time = None, 0.0
         self.session.running = False
         self._publish()
@@ -261,19 +256,13 @@ class LiveViewer:
 
     def film(self) -> Film:
         """The last seconds of the environments on the page as a film."""
-        moments = self.history.moments()
+        moments = self.history.moments
         if len(moments) < 2:
             raise ValueError("film: nothing has moved yet")
         rate = (len(moments) - 1) / max(self.history.length, 1e-9)
-        offset = self._film.offset[:, None].astype(np.float32)
-        position = np.stack([moment.state["position"][self.rows] + offset for moment in moments])
-        orientation = np.stack([moment.state["orientation"][self.rows] for moment in moments])
-        frames = len(moments)
+        poses = [self._poses(moment.state) for moment in moments]
         return replace(
-            self._film,
-            position=position.reshape(frames, -1, 3),
-            orientation=orientation.reshape(frames, -1, 4),
-            fps=rate,
+            self._film, fps=rate, **{name: np.concatenate([one[name] for one in poses]) for name in poses[0]}
         )
 
     def send_film(self, client_id: int) -> None:
@@ -371,13 +360,8 @@ class LiveViewer:
         if not expected:
             log.error("a request failed: %s", error, exc_info=error)
         text = explain(error) if expected else f"{type(error).__name__}: {explain(error)}"
-        self.server.notify("Not possible" if expected else "Error", text)
-
-    def _rest_until(self, end: float) -> None:
-        """Wait for the next update or request."""
-        left = end - time.perf_counter()
-        if left > 0.0 and self._wishes.empty():
-            time.sleep(left)
+        for client in self.server.get_clients().values():
+            client.add_notification("Not possible" if expected else "Error", text, color="red")
 
     def _show_scene(self) -> None:
         """Put the bodies of the shown environments on the page."""
@@ -502,27 +486,32 @@ class LiveViewer:
     def _publish(self) -> None:
         """Send the current state."""
         sim, rows = self.session.sim, self.rows
-        state = (
-            {name: sim.get(name) for name in ("position", "orientation")} if self._past is None else self._past.state
-        )
-        position = state["position"][rows] + self._film.offset[:, None].astype(np.float32)
-        orientation = state["orientation"][rows]
+        now = {name: sim.get(name) for name in ("position", "orientation")} if self._past is None else self._past.state
+        poses = self._poses(now)
+        position, orientation = poses["position"][0], poses["orientation"][0]
         with self.server.atomic():
-            self._instances.pose(position.reshape(-1, 3), orientation.reshape(-1, 4))
+            self._instances.pose(position, orientation)
             self._instances.color(self._colors())
             self._instances.fade(self._opacity())
             if self._overlays.shown:
                 self._overlays.update(sim, rows, self._film.offset, self.chosen)
-            env, body = self.chosen
-            row = env - int(rows[0])
-            self._slice.follow(position[row, body], orientation[row, body])
+            self._slice.follow(position[self._chosen_instance], orientation[self._chosen_instance])
             self._draw_rope()
-            poses = {"position": position.reshape(1, -1, 3), "orientation": orientation.reshape(1, -1, 4)}
             if self._film.camera.body is not None:
                 follow_with_pages(self.server, replace(self._film, **poses), 0)
             elif self.session.running or self._looping:
                 self._widen(widen_views, self.server, replace(self._film, **poses))
         self._stale = True
+
+    def _poses(self, state: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """A state of all environments as the poses of a film of one frame."""
+        position = state["position"][self.rows] + self._film.offset[:, None].astype(np.float32)
+        orientation = state["orientation"][self.rows]
+        return {"position": position.reshape(1, -1, 3), "orientation": orientation.reshape(1, -1, 4)}
+
+    @property
+    def _chosen_instance(self) -> int:
+        return (self.chosen[0] - int(self.rows[0])) * self.session.sim.num_bodies + self.chosen[1]
 
     def _colors(self) -> np.ndarray:
         sim, by = self.session.sim, self._options["coloring"]
@@ -544,7 +533,7 @@ class LiveViewer:
             asleep = self.session.sim.get("asleep")[self.rows].reshape(-1)
             opacity[asleep & self._dynamic & (self._film.image < 0)] *= 0.35
         if self._options["slice"]:
-            opacity[(self.chosen[0] - self.rows[0]) * self.session.sim.num_bodies + self.chosen[1]] = 0.15
+            opacity[self._chosen_instance] = 0.15
         return opacity
 
     def _touching(self) -> np.ndarray:

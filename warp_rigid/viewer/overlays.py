@@ -122,7 +122,9 @@ class Overlays:
         usual = float(np.median(mass[mass > 0.0])) * gravity * sim.settings.dt
         length = size * np.clip(np.sqrt(strength[pushes] / usual), 0.0, 3.0)
         ends = points[pushes] + impulse[pushes] / strength[pushes] * length
-        self._arrows(f"{CONTACTS}: arrows", np.stack([points[pushes], ends], axis=1), size)
+        arrows = np.stack([points[pushes], ends], axis=1)
+        look = {"shaft_radius": 0.018 * size, "head_radius": 0.05 * size, "head_length": 0.12 * size}
+        self._draw(f"{CONTACTS}: arrows", arrows, self._scene.add_arrows, CONTACT_COLOR, **look)
 
     def _joints(self, sim, rows, offsets, size) -> None:
         """A ball at both anchors of each joint that is not broken, and a line between them or along its axis."""
@@ -185,10 +187,6 @@ class Overlays:
     def _points(self, name: str, points: np.ndarray, color, size: float) -> None:
         look = {"point_size": size, "point_shape": "circle", "precision": "float32"}
         self._draw(name, points, self._scene.add_point_cloud, color, **look)
-
-    def _arrows(self, name: str, arrows: np.ndarray, size: float) -> None:
-        look = {"shaft_radius": 0.018 * size, "head_radius": 0.05 * size, "head_length": 0.12 * size}
-        self._draw(name, arrows, self._scene.add_arrows, CONTACT_COLOR, **look)
 
     def _draw(self, name: str, points: np.ndarray, add: Callable, color, **look) -> None:
         """Show points in the node of a name, which is added with the first ones; none hide it."""

@@ -214,7 +214,7 @@ def widen_views(server: viser.ViserServer, film: Film) -> None:
         server: serves the pages.
         film: one frame of the bodies as they are now.
     """
-    if film.camera.body is not None or is_placed(film.camera):
+    if is_placed(film.camera):
         return
     points = points_to_see(film, [0])
     for client in server.get_clients().values():

@@ -16,7 +16,7 @@ from warp_rigid.viewer.controls import check_value
 from warp_rigid.viewer.history import LENGTH
 from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.overlays import OVERLAYS
-from warp_rigid.viewer.session import Session, key_scenes
+from warp_rigid.viewer.session import Session
 from warp_rigid.viewer.slicing import AXES
 
 STEP_RATES = ("60", "120", "240", "480", "960")
@@ -242,17 +242,16 @@ class Panel:
             self._inputs = {}
             with self._parameters:
                 for name in known:
-                    self._inputs[name] = self._add_parameter(name, session.plan.demo.parameters[name])
+                    default = session.plan.demo.parameters[name]
+                    if isinstance(default, bool):
+                        self._inputs[name] = self._gui.add_checkbox(_label(name), default)
+                    else:
+                        self._inputs[name] = self._gui.add_slider(_label(name), *parameter_range(default), default)
         for name, value in known.items():
             if not isinstance(value, bool):
                 self._inputs[name].min = min(self._inputs[name].min, value)
                 self._inputs[name].max = max(self._inputs[name].max, value)
             self._inputs[name].value = value
-
-    def _add_parameter(self, name: str, default: float) -> Any:
-        if isinstance(default, bool):
-            return self._gui.add_checkbox(_label(name), default)
-        return self._gui.add_slider(_label(name), *parameter_range(default), default)
 
     def _restart_with_parameters(self) -> None:
         self._viewer.restart_with({name: widget.value for name, widget in self._inputs.items()})
@@ -298,7 +297,7 @@ class Panel:
             "Edge samples on or off": ("E", partial(self.flip, "edge_samples")),
             "Wireframe": ("W", partial(self.flip, "wireframe")),
         }
-        for digit, name in key_scenes().items():
+        for digit, name in zip("1234567890", scenes.names(), strict=False):
             commands[f"Load {name}"] = (digit, partial(viewer.load, name))
         lines = "\n".join(f"- **{key}** {label[0].lower()}{label[1:]}" for label, (key, _) in commands.items())
         with self._gui.add_folder("Keys", expand_by_default=False):

@@ -93,11 +93,6 @@ class FilmViewer:
         )
         self._add_controls()
 
-    @property
-    def url(self) -> str:
-        """Address of the page, with the token."""
-        return self.server.url
-
     def run(self) -> None:
         """Play in a loop until `stop`."""
         shown, last = None, time.perf_counter()

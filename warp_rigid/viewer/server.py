@@ -61,11 +61,6 @@ class CheckedServer(viser.ViserServer):
         """Address of the page, with the token."""
         return self._guard.url(self.get_port())
 
-    def notify(self, title: str, text: str) -> None:
-        """Show a message on all open pages."""
-        for client in self.get_clients().values():
-            client.add_notification(title, text, color="red")
-
 
 def one_line(record: logging.LogRecord) -> bool:
     """Log filter: the error that ended a connection as one line, without a traceback."""

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import scenes
 from warp_rigid.engine import joint_quantities
 from warp_rigid.engine.quantities import WRITABLE
 from warp_rigid.engine.settings import Settings
@@ -17,7 +16,7 @@ from warp_rigid.runs import runner
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.scenes import Verdict
-from warp_rigid.viewer.history import Moment
+from warp_rigid.viewer.history import QUANTITIES, Moment
 
 PULL_RATE = 8.0
 """Angular frequency of the spring that pulls a body [rad/s]; its damping is critical."""
@@ -71,7 +70,8 @@ class Session:
         **options: of runner.plan_run: assignments, num_envs, compare, device, seed, substeps, camera.
 
     Attributes:
-        plan: the scene with its simulator.
+        plan: the scene with its simulator at the start.
+        sim: the current simulator; a change of dt creates another.
         running: whether `advance` steps.
         speed: simulated seconds per second.
         variant: name of the scene's variant at work, None where settings were changed by hand.
@@ -94,23 +94,17 @@ class Session:
         demo = runner.find_scene(source)
         self.plan = runner.plan_run(demo, **{**kept, **options})
         self.source = source
-        self._sim = self.plan.sim
+        self.sim = self.plan.sim
         self.variant = next(iter(self.variants)) if not options.get("assignments") else None
         self._settings = {name: self.sim.get(name) for name in dataclasses.asdict(self.sim.settings) if name != "dt"}
-        self._start = {name: self.sim.get(name) for name in ("position", "orientation")}
-        self._start |= {name: self.sim.get(name) for name in ("linear_velocity", "angular_velocity")}
+        self._start = {name: self.sim.get(name) for name in QUANTITIES}
         self._step_seconds = 0.0
         self._begin()
 
     @property
-    def sim(self) -> Simulator:
-        """The current simulator; a change of dt creates another."""
-        return self._sim
-
-    @property
     def time(self) -> float:
         """Simulated time since the last restart [s]."""
-        return self._time_before + self._sim.time
+        return self._time_before + self.sim.time
 
     @property
     def variants(self) -> dict[str, Any]:
@@ -120,7 +114,7 @@ class Session:
     @property
     def verdicts(self) -> list[Verdict]:
         """The scene's verdicts as they stand now."""
-        return self._outcome.verdicts(self._sim)
+        return self._outcome.verdicts(self.sim)
 
     def advance(self, wall: float, budget: float) -> int:
         """Step as far as the wall clock went on, or as far as the budget allows.
@@ -134,7 +128,7 @@ class Session:
         """
         if not self.running:
             return 0
-        rate = self.speed / self._sim.settings.dt
+        rate = self.speed / self.sim.settings.dt
         self._owed = min(self._owed + wall * rate, MOST_BEHIND * rate + 1.0)
         affordable = max(1, int(budget / self._step_seconds)) if self._step_seconds else 1
         steps = min(int(self._owed), affordable)
@@ -153,26 +147,26 @@ class Session:
             return
         start = time.perf_counter()
         self._hold_pull()
-        runner.step_frame(self._sim, count, self._events)
+        runner.step_frame(self.sim, count, self._events)
         each = (time.perf_counter() - start) / count
         # The first step may load kernels; later ones count less the faster they were.
         self._step_seconds = each if not self._step_seconds else self._step_seconds + 0.2 * (each - self._step_seconds)
-        self._judge(self._outcome.observe, self._sim)
+        self._judge(self._outcome.observe, self.sim)
 
     def restart(self) -> None:
         """Back to the scene's start; what was set stays."""
         self.release()
-        self._sim.reset()
+        self.sim.reset()
         for name, start in self._start.items():
-            if not np.array_equal(self._sim.get(name), start):
-                self._sim.set(name, start)
+            if not np.array_equal(self.sim.get(name), start):
+                self.sim.set(name, start)
         self._begin()
 
     def use_variant(self, name: str) -> None:
         """Put the settings back to those of the scene and of one of its variants, and restart."""
         changes = self.variants[name]
         for setting, value in self._settings.items():
-            self._sim.set(setting, changes.get(setting, list(value)))
+            self.sim.set(setting, changes.get(setting, list(value)))
         self.variant = name
         self.restart()
 
@@ -188,9 +182,9 @@ class Session:
             ValueError: as Simulator.set; nothing is changed then.
         """
         if name == "dt":
-            self._replace(dataclasses.replace(self._sim.settings, dt=value))
+            self._replace(dataclasses.replace(self.sim.settings, dt=value))
         else:
-            self._sim.set(name, value, envs=envs)
+            self.sim.set(name, value, envs=envs)
         if name in self._settings or name == "dt":
             self.variant = None
 
@@ -198,8 +192,8 @@ class Session:
         """Put all bodies where they were at a moment, to continue from there; events that have happened stay done."""
         self.release()
         for name, value in moment.state.items():
-            self._sim.set(name, value)
-        self._time_before = moment.time - self._sim.time
+            self.sim.set(name, value)
+        self._time_before = moment.time - self.sim.time
         self._owed = 0.0
 
     def spawn(self, shape: Shape, position: np.ndarray) -> int:
@@ -214,10 +208,10 @@ class Session:
         """
         scene = self.plan.scene
         body = scene.add_body(shape, position=position[0], name=f"added_{len(scene.bodies)}")
-        self._replace(self._sim.settings)
-        self._sim.set("position", position[:, None], bodies=[body])
+        self._replace(self.sim.settings)
+        self.sim.set("position", position[:, None], bodies=[body])
         for name in self._start:
-            self._start[name] = np.concatenate([self._start[name], self._sim.get(name)[:, body:]], axis=1)
+            self._start[name] = np.concatenate([self._start[name], self.sim.get(name)[:, body:]], axis=1)
         return body
 
     def push(self, env: int, body: int, point: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -226,17 +220,17 @@ class Session:
         Returns:
             The impulse [N s]; zero for bodies that nothing moves.
         """
-        impulse = float(self._sim.get("mass")[env, body]) * np.asarray(velocity)
+        impulse = float(self.sim.get("mass")[env, body]) * np.asarray(velocity)
         if impulse.any():
-            self._sim.apply_impulse(impulse, point, body, envs=[env])
+            self.sim.apply_impulse(impulse, point, body, envs=[env])
         return impulse
 
     def pull(self, env: int, body: int, point: np.ndarray, target: np.ndarray) -> None:
-        """Pull a body from now on: a spring from a point on it to a target, both in the world [m]."""
+        """Pull a dynamic body from now on: a spring from a point on it to a target, both in the world [m]."""
         self.release()
-        orientation = self._sim.get("orientation")[env, body].astype(np.float64)
+        orientation = self.sim.get("orientation")[env, body].astype(np.float64)
         back = inverse(orientation)
-        local = rotate(back, np.asarray(point) - self._sim.get("position")[env, body])
+        local = rotate(back, np.asarray(point) - self.sim.get("position")[env, body])
         self._pull = Pull(env, body, local, np.asarray(target, dtype=np.float64))
 
     def move_pull(self, target: np.ndarray) -> None:
@@ -273,7 +267,7 @@ class Session:
 
     def _replace(self, settings: Settings) -> None:
         """Continue in a new simulator of the scene, with the state and settings of the bodies that it had."""
-        old = self._sim
+        old = self.sim
         new = Simulator(self.plan.scene, old.num_envs, settings, old.device, old.seed)
         dynamic = [i for i, body in enumerate(old.scene.bodies[: old.num_bodies]) if body.motion == Motion.DYNAMIC]
         for name in WRITABLE:
@@ -289,7 +283,7 @@ class Session:
                 new.set(name, old.get(name))
         self._events = [(when - old.time, act) for when, act in self._events]
         self._time_before += old.time
-        self._sim = new
+        self.sim = new
         self._step_seconds = 0.0
 
     def _hold_pull(self) -> None:
@@ -297,30 +291,23 @@ class Session:
         if self._pull is None:
             return
         env, body = self._pull.env, self._pull.body
-        if self.plan.scene.bodies[body].motion != Motion.DYNAMIC:
-            return
-        mass = float(self._sim.get("mass")[env, body])
-        inertia = self._sim.get("inertia")[env, body].astype(np.float64)
-        arm = self._grip(self._pull) - self._sim.get("center_of_mass")[env, body]
-        spin = self._sim.get("angular_velocity")[env, body].astype(np.float64)
-        velocity = self._sim.get("linear_velocity")[env, body] + np.cross(spin, arm)
+        mass = float(self.sim.get("mass")[env, body])
+        inertia = self.sim.get("inertia")[env, body].astype(np.float64)
+        arm = self._grip(self._pull) - self.sim.get("center_of_mass")[env, body]
+        spin = self.sim.get("angular_velocity")[env, body].astype(np.float64)
+        velocity = self.sim.get("linear_velocity")[env, body] + np.cross(spin, arm)
         wanted = PULL_RATE * (PULL_RATE * (self._pull.target - self._grip(self._pull)) - 2.0 * velocity)
         # A force on the held place accelerates it by more than force / mass: the body gives way by turning.
         cross = np.cross(np.eye(3), arm)
         mobility = np.eye(3) / mass - cross @ np.linalg.inv(inertia) @ cross
-        force = np.linalg.solve(mobility, wanted) - mass * self._sim.get("gravity")[env]
+        force = np.linalg.solve(mobility, wanted) - mass * self.sim.get("gravity")[env]
         self._hold("force", force)
         self._hold("torque", np.cross(arm, force) - PULL_RATE * (inertia @ spin))
 
     def _hold(self, name: str, value: np.ndarray) -> None:
-        self._sim.set(name, value, envs=[self._pull.env], bodies=[self._pull.body])
+        self.sim.set(name, value, envs=[self._pull.env], bodies=[self._pull.body])
 
     def _grip(self, pull: Pull) -> np.ndarray:
         """The pulled place of the body in the world [m]."""
-        orientation = self._sim.get("orientation")[pull.env, pull.body].astype(np.float64)
-        return rotate(orientation, pull.local) + self._sim.get("position")[pull.env, pull.body]
-
-
-def key_scenes() -> dict[str, str]:
-    """Which scene each digit key loads."""
-    return dict(zip("1234567890", scenes.names(), strict=False))
+        orientation = self.sim.get("orientation")[pull.env, pull.body].astype(np.float64)
+        return rotate(orientation, pull.local) + self.sim.get("position")[pull.env, pull.body]

@@ -1,6 +1,7 @@
 """Meshes with an image as the page takes them: binary glTF."""
 
 import numpy as np
+import trimesh
 
 from warp_rigid.render.film import DrawnMesh
 from warp_rigid.render.textures import image_filter, read_image
@@ -17,8 +18,6 @@ def textured_mesh(mesh: DrawnMesh, path: str, color: np.ndarray) -> bytes | None
         path: of the image.
         color: (3,) uint8, of the triangles without texture coordinates.
     """
-    import trimesh
-
     image = read_image(path)
     if image is None or mesh.uv is None:
         return None
@@ -34,8 +33,6 @@ def textured_mesh(mesh: DrawnMesh, path: str, color: np.ndarray) -> bytes | None
 
 def _corners_merged(mesh: DrawnMesh, chosen: np.ndarray, material):
     """Some triangles, with a vertex for each distinct set of place, normal and texture coordinates."""
-    import trimesh
-
     corners = [mesh.vertices[mesh.faces[chosen]], np.round(mesh.normals[chosen], 3), np.nan_to_num(mesh.uv[chosen])]
     rows, index = np.unique(np.concatenate(corners, axis=2).reshape(-1, 8), axis=0, return_inverse=True)
     visual = trimesh.visual.TextureVisuals(uv=rows[:, 6:], material=material)
