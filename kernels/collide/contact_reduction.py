@@ -1,9 +1,10 @@
 """Contact reduction: selects a few of the touching samples to represent the contact of a pair.
 
-Touching samples are grouped into patches with similar normals. A patch keeps the furthest sample in each of eight fixed
-directions of its tangent plane, and the one that will be deepest at the end of the step. The convex hull of the
-samples can support the same loads as all of them. Ties are resolved in favour of the first sample, so that contact
-identities persist.
+Touching samples are grouped into patches with similar normals. A patch keeps the furthest sample in each of eight
+directions of its tangent plane, and the one that will be deepest at the end of the step. The convex hull of the samples
+can support the same loads as all of them. The directions are fixed in the frame of the second body; on cylinders and
+convex meshes, the first is that in which the load points, so that these topple neither early nor late. Ties are
+resolved in favour of the first sample, so that contact identities persist.
 
 The score of a sample is its extent in the direction, reduced by its gap times a weight; this corresponds to tilting the
 bodies by a small angle. In every other direction the weight is small (TIPPED, TURNING), so that the closest samples
