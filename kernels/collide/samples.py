@@ -47,7 +47,7 @@ RIM_CENTER = wp.constant(0)
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
 
-FLAT = wp.constant(5.0e-4)
+RIM_FLAT = wp.constant(5.0e-4)
 """Sine of the tilt below which a rim has no deepest point. Rounding errors are a thousandth of it."""
 
 LOADED = wp.constant(0.02)
@@ -72,7 +72,7 @@ def rim_next(search: Search, d: wp.vec4, radius: float, load: wp.vec3, weight: f
     n = gradient(d)
     lean = n - LOADED * wp.normalize(load)
     down = wp.dot(lean, search.along) * search.along - lean
-    if wp.length(down) < FLAT:
+    if wp.length(down) < RIM_FLAT:
         return nowhere(search)
     search.query = search.start + radius * wp.normalize(down)
     search.stage += 1
