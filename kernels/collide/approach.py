@@ -159,6 +159,7 @@ def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State
     approach.turn = back * state.orientation[own]
     approach.shift = wp.quat_rotate(back, state.position[own] - state.position[other])
     approach.reach = reach
+    approach.searched = reach
     return approach
 
 

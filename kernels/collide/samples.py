@@ -8,6 +8,7 @@ the GPU code small and fast, and its compilation short.
 
 import warp as wp
 
+from warp_rigid.kernels.collide.approach import Approach
 from warp_rigid.kernels.collide.contact_search import DONE, Search, gradient, look_at, nowhere
 from warp_rigid.kernels.collide.distance import (
     BORDER,
@@ -167,13 +168,15 @@ def clip_to_grid(search: Search, shapes: Shapes, shape: int):
 
 
 @wp.func
-def begin_search(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3, weight: float):
-    """Start the search of a sample; `turn` and `shift` map its shape's frame to that of the other shape.
+def begin_search(s: int, approach: Approach, weight: float, shapes: Shapes):
+    """Start the search of a sample.
 
     The distance at an edge's middle is used for culling; for a convex shape, the distances at its ends are enough.
     """
+    turn = approach.turn
+    shape = approach.shape
     search = Search()
-    search.start = wp.quat_rotate(turn, shapes.samples[s].point) + shift
+    search.start = wp.quat_rotate(turn, shapes.samples[s].point) + approach.shift
     search.query = search.start
     search.normal = wp.quat_rotate(turn, shapes.samples[s].normal)
     if shapes.samples[s].kind == SampleKind.EDGE:
@@ -199,22 +202,13 @@ def begin_search(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.ve
 
 
 @wp.func
-def bring_to_touch(
-    shapes: Shapes,
-    s: int,
-    own_shape: int,
-    shape: int,
-    turn: wp.quat,
-    shift: wp.vec3,
-    reach: float,
-    load: wp.vec3,
-    weight: float,
-):
-    """Contact point of sample s of `own_shape` on `shape`, in the frame of `shape`.
+def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
+    """Contact point of a sample of `own` on `other`, in the frame of `other`.
 
-    For gaps above `reach` the result may be FAR. With weight 1 the face is chosen by distance and the sample's normal,
-    with weight 0 by the distance alone.
+    For gaps above `searched` the result may be FAR. With weight 1 the face is chosen by distance and the sample's
+    normal, with weight 0 by the distance alone.
     """
+    shape = approach.shape
     kind = shapes.samples[s].kind
     radius = shapes.samples[s].radius
     convex = shapes.shapes[shape].convex
@@ -225,14 +219,13 @@ def bring_to_touch(
         exact = 1
     choice = shapes.samples[s].choice
     corners = choice > 0 and has_places(shapes, shape)
-    near = radius + wp.min(reach, shapes.shapes[shape].cell)
+    near = radius + wp.min(approach.searched, shapes.shapes[shape].cell)
     along_edge = radius + shapes.shapes[shape].cell
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
-    thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
-    search = begin_search(shapes, s, shape, turn, shift, weight)
-    slides = (
-        may_slide(own_shape, shape, shapes) and (kind == SampleKind.POINT or kind == SampleKind.FACE) and radius == 0.0
-    )
+    thin = wp.where(weight > 0.0 and shapes.shapes[approach.own_shape].convex == 0, 1, 0)
+    search = begin_search(s, approach, weight, shapes)
+    slides = may_slide(approach.own_shape, shape, shapes) and radius == 0.0
+    slides = slides and (kind == SampleKind.POINT or kind == SampleKind.FACE)
     if radius > 0.0:
         along_edge += ALL_OF_EDGE * search.half
     while search.stage >= 0:
@@ -241,7 +234,7 @@ def bring_to_touch(
         to_place = corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER))
         d = contact_distance(shapes, shape, search.query, search.facing, wp.where(to_place, -FAR, exact_below))
         if to_place:
-            d = ball_distance_to_places(shapes, part, search.query, d, radius, reach, choice)
+            d = ball_distance_to_places(shapes, part, search.query, d, radius, approach.searched, choice)
         search.evaluations += 1
         search.least = wp.min(search.least, d[3])
         if search.stage >= SLIDE_END:
@@ -249,15 +242,15 @@ def bring_to_touch(
         elif search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:
-            search = edge_next(search, d, reach, radius, size, convex, weight)
+            search = edge_next(search, d, approach.searched, radius, size, convex, weight)
         elif kind == SampleKind.RIM:
-            search = rim_next(search, d, radius, load, weight)
+            search = rim_next(search, d, radius, approach.load, weight)
         else:
             search = point_next(search, d, size, flat, thin)
             if slides and search.stage == DONE and search.distance < FAR:
                 search = begin_slides(search, weight)
         if slides and search.stage == DONE and search.last > 0.0:
-            search = next_slide(search, s, turn, shapes)
+            search = next_slide(search, s, approach.turn, shapes)
     return search
 
 
@@ -276,24 +269,14 @@ def opposed(cosine: float, kind: int, other: int):
 
 
 @wp.func
-def place_sample(
-    shapes: Shapes,
-    s: int,
-    own_shape: int,
-    shape: int,
-    turn: wp.quat,
-    shift: wp.vec3,
-    reach: float,
-    load: wp.vec3,
-    weight: float,
-):
-    """Contact point of sample s; with weight 1, the distance is FAR if the sample does not oppose the surface.
+def place_sample(s: int, approach: Approach, weight: float, shapes: Shapes):
+    """Contact point of a sample; with weight 1, the distance is FAR if the sample does not oppose the surface.
 
     An edge that ends on a face without leaving it is not a contact: the distance to the faces that it opposes is not
     its true distance.
     """
-    found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, reach, load, weight)
-    other = shapes.parts[shapes.shapes[shape].part_start].kind
+    found = bring_to_touch(s, approach, weight, shapes)
+    other = shapes.parts[shapes.shapes[approach.shape].part_start].kind
     if weight > 0.0 and not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
         found.distance = FAR
     return found

@@ -74,17 +74,7 @@ def place_near_sample(s: int, approach: Approach, parting: bool, shapes: Shapes)
     again = int(1)
     while again == 1:
         again = 0
-        placed = place_sample(
-            shapes,
-            s,
-            approach.own_shape,
-            approach.shape,
-            approach.turn,
-            approach.shift,
-            approach.searched,
-            approach.load,
-            weight,
-        )
+        placed = place_sample(s, approach, weight, shapes)
         if weight > 0.0 and placed.distance >= FAR and placed.least < 0.0:
             if placed.least < -hidden_depth(approach.own_shape, approach.shape, shapes):
                 weight = 0.0

@@ -163,9 +163,8 @@ def touch_again(key: int, pair: int, shapes: Shapes, bodies: Bodies, state: Stat
     approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), FAR, bodies, state)
     parting = is_parting(pair, shapes, bodies, pairs)
     weight = wp.where(parting, 0.0, 1.0)
-    own = approach.own_shape
-    load = load_between(a, b, approach.other, state, motions)
-    placed = place_sample(shapes, key / 2, own, approach.shape, approach.turn, approach.shift, FAR, load, weight)
+    approach.load = load_between(a, b, approach.other, state, motions)
+    placed = place_sample(key / 2, approach, weight, shapes)
     touch = touch_of(placed, side, approach.other, state)
     if parting:
         touch.normal = wp.quat_rotate(state.orientation[b], pairs.axis[pair])
