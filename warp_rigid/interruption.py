@@ -20,7 +20,7 @@ from typing import Any
 __all__ = ["STATUS", "end", "end_at_once", "is_of_command", "keeping", "needs_telling", "received", "watched"]
 
 STATUS = 130
-AGAIN, LONGEST = 0.2, 0.5
+AGAIN, LONGEST = 0.1, 0.25
 """Time after which an interruption is raised again, and after which the process ends [s]."""
 
 _state = {"watched": False, "told": False, "keeping": 0, "ended": False}
@@ -62,8 +62,8 @@ def received() -> int:
 
     A watched process ends here: the interpreter's own end takes longer, and it can be interrupted again.
     """
-    if _state["watched"]:
-        end(STATUS)
+    end(STATUS)
+    _tell()
     return STATUS
 
 
@@ -144,6 +144,10 @@ def _raise_again(unraisable: Any) -> None:
 
 def _end() -> None:
     """End the process without its cleanup: other threads may be in machine code."""
+    _tell()
+    os._exit(STATUS)
+
+
+def _tell() -> None:
     if needs_telling():
         os.write(2, b"warp-rigid: interrupted\n")
-    os._exit(STATUS)

@@ -45,9 +45,8 @@ def main(argv: list[str] | None = None) -> int:
     """
     with interruption.watched():
         status = _run(argv)
-        if status == interruption.STATUS and interruption.needs_telling():
-            note("warp-rigid: interrupted")
-        return status
+        # Typer turns KeyboardInterrupt into a status.
+        return interruption.received() if status == interruption.STATUS else status
 
 
 def _run(argv: list[str] | None) -> int:
