@@ -106,7 +106,7 @@ class Scene:
         bounds: as given, or None.
         out_of_bounds: as given.
         camera: as given; may be set.
-        looks: Look of bodies by their index, from the materials of imported files.
+        looks: Look of bodies by their index; imports fill it from the materials of their files.
 
     Raises:
         ValueError: gravity is not three finite numbers, a rule is unknown, the bounds are not a box, or the camera is
