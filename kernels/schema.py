@@ -169,6 +169,9 @@ Motions = layout(
     is_finite=Field(int, "bodies", "", "1: the state was finite at the start of the step"),
     acceleration=Field(wp.vec3, "bodies", "m/s^2", "acceleration by gravity, force fields and the external force"),
     spin_acceleration=Field(wp.vec3, "bodies", "rad/s^2", "angular acceleration by the external torque"),
+    velocity_unit=Field(
+        float, "bodies", "m/s", "unit of the solvers' tolerances, the same in an environment (predict.py)"
+    ),
     lower=Field(wp.vec3, "bodies", "m", "lower corner of the swept bounding box of this step"),
     upper=Field(wp.vec3, "bodies", "m", "upper corner of the swept bounding box of this step"),
     radius=Field(float, "bodies", "m", "radius of the bounding sphere about the centre of mass"),

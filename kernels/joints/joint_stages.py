@@ -213,6 +213,7 @@ def sweep_with_joints(
     if after_shock == 0:
         find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
         spare = spare_sweeps(env, envs, graph)
+    unit = motions.velocity_unit[envs.first_body[env]]
     touched = any_touched(team, joints)
     starts = after_shock == 0 and touched * envs.warm_starting[env] == 1
     if starts:
@@ -234,10 +235,10 @@ def sweep_with_joints(
         if stage == SWEEPING:
             residual = change
             done += 1
-            unsolved = any_of_team(wp.where(residual > CONVERGED, 1, 0), team)
+            unsolved = any_of_team(wp.where(residual > CONVERGED * unit, 1, 0), team)
             left = unsolved * (left - 1)
             if left == 0 and unsolved * spare > 0:
-                calm = nearly_solved(residual, team, graph)
+                calm = nearly_solved(residual, unit, team, graph)
                 left = calm * spare
                 spare = 0
         if stage == SEARCHING:
@@ -358,10 +359,11 @@ def push_joined(
         if needs_solution(m, joints):
             project(m, PUSH, part, motions, joints)
     sync_team(team)
+    unit = motions.velocity_unit[envs.first_body[env]]
     left = int(PUSH_OUT_SWEEPS)
     while left > 0:
         change = push_touching(team, order, motions, contacts, joints, visits)
-        left = any_of_team(wp.where(change > ENOUGH, 1, 0), team) * (left - 1)
+        left = any_of_team(wp.where(change > ENOUGH * unit, 1, 0), team) * (left - 1)
 
 
 @wp.kernel

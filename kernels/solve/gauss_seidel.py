@@ -33,7 +33,7 @@ since load is then transmitted by sweeps alone."""
 
 @wp.func
 def tolerance_without_shock(env: int, graph: Graph):
-    """Velocity change per sweep below which an environment counts as solved without shock propagation [m/s].
+    """Velocity change per sweep below which an environment counts as solved without shock propagation [velocity unit].
 
     At depth n, a sweep reduces the error by a fraction of about 1 / n^2, so the remaining error is n^2 times the change
     by the last sweep. In a shallow heap it is small, comparable to the rounding errors of positions.
@@ -43,9 +43,9 @@ def tolerance_without_shock(env: int, graph: Graph):
 
 
 @wp.func
-def nearly_solved(change: float, team: Team, graph: Graph):
+def nearly_solved(change: float, unit: float, team: Team, graph: Graph):
     """1 if no lane of a team saw a larger change than `tolerance_without_shock`."""
-    return 1 - any_of_team(wp.where(change > tolerance_without_shock(team.env, graph), 1, 0), team)
+    return 1 - any_of_team(wp.where(change > unit * tolerance_without_shock(team.env, graph), 1, 0), team)
 
 
 @wp.func
@@ -171,6 +171,7 @@ def sweep_constraints(
     if after_shock == 0:
         find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
         spare = spare_sweeps(env, envs, graph)
+    unit = motions.velocity_unit[envs.first_body[env]]
     left = sweeps_of(env, after_shock, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)
     unsolved = int(1)
@@ -183,10 +184,10 @@ def sweep_constraints(
             change = wp.max(change, sweep(level, team, order, graph, motions, contacts))
         done += 1
         residual = change
-        unsolved = any_of_team(wp.where(change > CONVERGED, 1, 0), team)
+        unsolved = any_of_team(wp.where(change > CONVERGED * unit, 1, 0), team)
         left = unsolved * (left - 1)
         if left == 0 and unsolved * spare > 0:
-            calm = nearly_solved(change, team, graph)
+            calm = nearly_solved(change, unit, team, graph)
             left = calm * spare
             spare = 0
     if after_shock == 0:
