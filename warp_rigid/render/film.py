@@ -25,7 +25,7 @@ from warp_rigid.scene.camera import Camera, camera_of_text
 from warp_rigid.scene.scene import Motion
 
 INSTANCE_AXES = {
-    "mesh": 0, "color": -2, "position": 1, "orientation": 1, "env": 0, "body": 0, "dynamic": 0, "gloss": 0, "image": 0,
+    "mesh": 0, "color": -2, "position": 1, "orientation": 1, "env": 0, "body": 0, "motion": 0, "gloss": 0, "image": 0,
 }  # fmt: skip
 """The arrays of a Film with an entry for each instance, and their axis of instances."""
 
@@ -69,7 +69,7 @@ class Film:
         offset: (envs, 3) translation of the environments [m].
         labels: one label per environment; may be empty.
         body: (instances,) index of the body in its environment; -1 for what is no body.
-        dynamic: (instances,) True for dynamic bodies.
+        motion: (instances,) value of Motion.
         gloss: (instances, 2) float32, roughness and metallic as in Look; (1, 0) is matt.
         image: (instances,) index into images; -1 for instances of one colour.
         camera: where pictures are taken from; a body that it follows is given by its index.
@@ -86,7 +86,7 @@ class Film:
     offset: np.ndarray
     labels: tuple[str, ...]
     body: np.ndarray
-    dynamic: np.ndarray
+    motion: np.ndarray
     gloss: np.ndarray
     image: np.ndarray
     camera: Camera = field(default_factory=Camera)
@@ -96,6 +96,11 @@ class Film:
     def num_frames(self) -> int:
         """Number of frames, including the initial one."""
         return len(self.position)
+
+    @property
+    def dynamic(self) -> np.ndarray:
+        """(instances,) True for dynamic bodies."""
+        return self.motion == Motion.DYNAMIC
 
     @property
     def moving(self) -> np.ndarray:
@@ -151,7 +156,7 @@ def film_from_recording(recording: Recording) -> Film:
         offset=offsets,
         labels=recording.labels,
         body=np.tile(np.arange(bodies), envs),
-        dynamic=np.tile(recording.motion == Motion.DYNAMIC, envs),
+        motion=np.tile(recording.motion, envs),
         gloss=np.tile(body_gloss(bodies, recording.looks), (envs, 1)),
         image=np.tile(image, envs),
         camera=recording.camera or Camera(),
@@ -228,6 +233,7 @@ def _film_of_stage(stage) -> Film:
     places = UsdGeom.XformCache()
     offset = np.array([places.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in envs])
     meshes, mesh_index, parts, paths = [], {}, [], []
+    motions = {motion.name.lower(): motion for motion in Motion}
     for index, group in groups:
         several = group.IsA(UsdGeom.PointInstancer)
         drawn, image, positions, turns, colors = (_read_instancer if several else _read_body)(group, frames)
@@ -244,7 +250,7 @@ def _film_of_stage(stage) -> Film:
                 "orientation": turns,
                 "env": np.full(len(body), index),
                 "body": body,
-                "dynamic": np.full(len(body), custom_data(group).get("motion") == "dynamic"),
+                "motion": np.full(len(body), motions.get(str(custom_data(group).get("motion")), Motion.STATIC)),
                 "gloss": _read_gloss(group, len(body)),
             }
         )

@@ -18,6 +18,7 @@ from warp_rigid.render.film import Film
 from warp_rigid.render.shading import HORIZON_COLOR, CameraView, glossy_color, grid_shade, lit_color, sky_color
 from warp_rigid.render.texture_sampling import Textures, texture_color, textures_of
 from warp_rigid.rotations import inverse, rotate
+from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes.tessellation import geodesic
 from warp_rigid.threads import exclusive
 
@@ -38,7 +39,7 @@ GOLDEN_Y = wp.constant(0.5698402909980532)
 WALL_THICKNESS = 0.3
 """Maximum ratio of the thickness of a wall to its height and width."""
 HIDDEN_PART = 0.1
-"""A wall that hides more than this fraction of the moving bodies of an environment is left out."""
+"""A static wall that hides more than this fraction of the moving bodies of an environment is left out."""
 HIDDEN_INSIDE = 0.3
 """A hollow body that at some time hides more than this fraction of the moving bodies inside it is cut open."""
 HIDDEN_TIMES = 24
@@ -344,8 +345,8 @@ class RayCaster:
 
     Args:
         film: the film.
-        camera: the camera. Fixed bodies that hide moving bodies from it are cut away: walls are left out, hollow bodies
-            are cut open.
+        camera: the camera. Fixed bodies that hide moving bodies from it are cut away: static walls are left out, hollow
+            bodies are cut open.
     """
 
     @exclusive()  # it changes the default device of all threads
@@ -428,7 +429,8 @@ class RayCaster:
                 size = np.sort(np.ptp(self._corners[i], axis=0))
                 thin = size[0] < WALL_THICKNESS * size[1]
                 if thin and hiding[k].mean() * len(self._film.labels) > HIDDEN_PART:
-                    cut[i] = REMOVED
+                    # A kinematic wall, such as a gate, is part of what happens, even if it does not move in this film.
+                    cut[i] = REMOVED if self._film.motion[i] == Motion.STATIC else WHOLE
                 elif not thin and hiding[k].reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
                     inside = self._mostly_inside(i, times)
                     if (hiding[k] & inside).reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:

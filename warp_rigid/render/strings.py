@@ -9,7 +9,7 @@ from warp_rigid.render.appearance import body_gloss, corner_normals
 from warp_rigid.render.film import DrawnMesh, Film, concatenated
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.joints import DistanceJoint
-from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes.tessellation import triangulate_quads
 
 SIDES = 6
@@ -44,7 +44,7 @@ def with_strings(film: Film, recording: Recording) -> Film:
         "orientation": np.broadcast_to(np.array((0, 0, 0, 1), np.float32), (frames, count, 4)),
         "env": np.arange(count),
         "body": np.full(count, -1),
-        "dynamic": np.zeros(count, bool),
+        "motion": np.full(count, Motion.STATIC),
         "gloss": body_gloss(count, {}),
         "image": np.full(count, -1),
     }
