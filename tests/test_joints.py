@@ -67,7 +67,7 @@ def test_friction_of_a_hinge_stops_it(device):
 def test_a_spring_drive_oscillates_and_settles(device):
     """Against the damped oscillator; the drive is implicit, so it damps somewhat more."""
     scene = one_body(wr.PrismaticJoint((0, 1, 0)))
-    scene.add_drive(0, stiffness=50.0, damping=4.0, target_position=0.3)
+    scene.add_drive(scene.joints[0].name, stiffness=50.0, damping=4.0, target_position=0.3)
     sim = simulator(scene, device)
     omega, ratio = 5.0, 0.2
     damped = omega * np.sqrt(1 - ratio**2)
@@ -312,6 +312,8 @@ def join_two_statics():
         (lambda: add(wr.SphericalJoint())[0].add_drive(0, stiffness=1.0),
          "joint: a SphericalJoint can be damped, but not driven: only damping can be given"),
         (lambda: add()[0].add_drive(1), "joint: must be a whole number from 0 to 0, got 1"),
+        (lambda: add()[0].add_drive("knee"), "joint: must be the index or name of a joint, got 'knee'"),
+        (lambda: wr.Scene().add_drive(0), "joint: must be the index or name of a joint, got 0"),
     ],
 )  # fmt: skip
 def test_bad_input_is_rejected_in_one_line(call, text):

@@ -160,3 +160,21 @@ def test_smooth_surfaces_have_highlights_and_metals_lose_their_matt_light():
 def test_looks_outside_their_range_are_refused(values, name):
     with pytest.raises(ValueError, match=f"^{name}: "):
         Look(*values)
+
+
+@pytest.mark.parametrize(
+    ("looks", "told"),
+    [
+        ({"ball": Look()}, r"scene\.looks: index of a body: must be a whole number from 0 to 0, got 'ball'"),
+        ({1: Look()}, r"scene\.looks: index of a body: must be a whole number from 0 to 0, got 1"),
+        ({0: (1, 0, 0)}, r"scene\.looks\[0\]: must be a Look"),
+        ([Look()], r"scene\.looks: must be a dictionary"),
+    ],
+)
+def test_looks_of_no_body_and_of_other_types_are_refused_before_the_start(looks, told):
+    """They were tracebacks when the first picture was drawn."""
+    scene = wr.Scene()
+    scene.add_body(wr.Sphere(0.5), name="ball")
+    scene.looks = looks
+    with pytest.raises(ValueError, match=f"^{told}"):
+        wr.Simulator(scene, device="cpu")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.fakes import FakeSimulator
-from warp_rigid import Box, Plane, Scene, Sphere
+from warp_rigid import Box, Plane, Scene, Sphere, export_usd
 from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.runs.recording import CAPTURED, VELOCITIES, Recorder, Recording, record, steps_per_frame
 
@@ -58,7 +58,8 @@ def test_some_environments_only(scene):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"frames": -1}, "frames: must be >= 0"),
+        ({"frames": -1}, "frames: must be a whole number from 0"),
+        ({"frames": 2.5}, "frames: must be a whole number from 0"),
         ({"frames": 1, "fps": 0.0}, "fps: must be a finite number > 0"),
         ({"frames": 1, "fps": 100.0}, "nearest valid rate: 120"),
         ({"frames": 1, "fps": 1000.0}, "nearest valid rate: 240"),
@@ -68,6 +69,14 @@ def test_some_environments_only(scene):
 def test_bad_arguments_are_named(scene, arguments, message):
     with pytest.raises(ValueError, match=message):
         record(FakeSimulator(scene, num_envs=2), **arguments)
+
+
+def test_a_scene_is_neither_recorded_nor_exported_without_a_simulator(scene, tmp_path):
+    """Both were an AttributeError."""
+    with pytest.raises(ValueError, match="^sim: must be a Simulator, got Scene"):
+        record(scene, frames=1)
+    with pytest.raises(ValueError, match="^recording: must be a Recording, as record"):
+        export_usd(scene, tmp_path / "scene.usda")
 
 
 @pytest.mark.parametrize(("dt", "fps", "steps"), [(1 / 240, 60, 4), (1 / 1000, 25, 40), (0.01, 100, 1)])

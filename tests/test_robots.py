@@ -131,6 +131,10 @@ def test_a_file_that_is_not_there_or_of_another_kind_is_refused(tmp_path):
         ("echo '[Error] [some.function] no link named foot'; exit 1", "no link named foot"),
         ("echo 'Traceback'; echo 'ValueError: bad axis' >&2; exit 1", "ValueError: bad axis"),
         ("exit 0", "no message"),
+        (
+            "echo '[Warning] [a.b] failed: XML error:'; echo 'line 3: <mujoco>'; echo; exit 1",
+            "XML error: line 3: <mujoco>",
+        ),
         ("exec sleep 99", "was stopped after 3 s"),
     ],
 )

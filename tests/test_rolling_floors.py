@@ -120,3 +120,16 @@ def test_a_ball_keeps_its_spin_without_friction(floor):
     sim.step(360)
     np.testing.assert_allclose(sim.get("angular_velocity")[0, 1], spin, rtol=1e-5)
     np.testing.assert_allclose(sim.get("linear_velocity")[0, 1], (0.7, 0.3, 0), atol=1e-4)
+
+
+@pytest.mark.parametrize("half_height", [0.01, 0.1])
+@pytest.mark.parametrize("degrees", [5, 20, 40])
+def test_a_cylinder_rolls_down_a_slope_without_loss(degrees, half_height):
+    """Its lowest points were displaced toward the load, which braked it by 2 % of the acceleration of gravity."""
+    slope = np.radians(degrees)
+    scene = Scene(gravity=(9.81 * np.sin(slope), 0, -9.81 * np.cos(slope)))
+    scene.add_static(Box((10, 1, 0.1)), position=(8, 0, -0.1), friction=2.0)
+    body = scene.add_body(Cylinder(0.1, half_height), position=(0, 0, 0.1), orientation=LYING, friction=2.0)
+    sim = Simulator(scene, device="cpu")
+    sim.step(240)
+    assert sim.get("linear_velocity")[0, body, 0] == pytest.approx(9.81 * np.sin(slope) / 1.5, rel=1e-3)

@@ -52,7 +52,10 @@ RIM_FLAT = wp.constant(5.0e-4)
 """Sine of the tilt below which a rim has no deepest point. Rounding errors are a thousandth of it."""
 
 LOADED = wp.constant(0.02)
-"""A rim that lies flat touches where the load points, as if it were tilted by this times the load's share along it."""
+"""A rim that lies flat touches where the load points, as if it were tilted by this times the load's share along it.
+
+At a tilt of twice this sine and more, as that of a cylinder that rolls, the load has no effect.
+"""
 
 POINT_AGAIN = wp.constant(1)
 
@@ -71,7 +74,8 @@ def rim_next(search: Search, d: wp.vec4, radius: float, load: wp.vec3, weight: f
     if d[3] >= FAR:
         return nowhere(search)
     n = gradient(d)
-    lean = n - LOADED * wp.normalize(load)
+    tilt = wp.length(wp.cross(n, search.along))
+    lean = n - wp.max(LOADED - 0.5 * tilt, 0.0) * wp.normalize(load)
     down = wp.dot(lean, search.along) * search.along - lean
     if wp.length(down) < RIM_FLAT:
         return nowhere(search)

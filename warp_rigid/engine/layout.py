@@ -13,6 +13,7 @@ import numpy as np
 from warp_rigid.checks import shown, whole_in
 from warp_rigid.engine import joints
 from warp_rigid.scene.body_columns import is_dynamic, shapes_of
+from warp_rigid.scene.look import check_looks
 from warp_rigid.scene.scene import Body, Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Shape, Sphere
 
@@ -182,7 +183,8 @@ def layout_of(scene: Any, num_envs: int) -> Layout:
         num_envs: number of environments of each scene; environment e has scene e modulo their number.
 
     Raises:
-        ValueError: there is no scene, one of them is no Scene or has no bodies, or num_envs is out of range.
+        ValueError: there is no scene, one of them is no Scene, has no bodies or a wrong look, or num_envs is out of
+            range.
     """
     given = [scene] if isinstance(scene, Scene) else scene
     if not isinstance(given, list | tuple) or not given:
@@ -193,6 +195,7 @@ def layout_of(scene: Any, num_envs: int) -> Layout:
             raise ValueError(f"{name}: must be a Scene, got {shown(one)}")
         if not one.bodies:
             raise ValueError(f"{name}.bodies: must hold at least one body")
+        check_looks(f"{name}.looks", one.looks, len(one.bodies))
     distinct = {id(one): one for one in given}
     place = {key: index for index, key in enumerate(distinct)}
     whole_in("num_envs", num_envs, 1, MOST_ENVIRONMENTS // len(given))

@@ -207,9 +207,10 @@ class Simulator:
 
         Bodies and joints that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
 
-        Quantities are those that `set` changes; for bodies also "inertia", "center_of_mass", "kinetic_energy",
-        "potential_energy", "asleep" and "level"; for joints, (envs, joints, ...), also "joint_position",
-        "joint_velocity" and "joint_force" (force [N] and torque [N m] on the first body in the last step, 6 numbers).
+        Quantities are those that `set` changes; for bodies also "inertia" and "center_of_mass" in the world frame,
+        "kinetic_energy", "potential_energy", "asleep" and "level"; for joints, (envs, joints, ...), also
+        "joint_position", "joint_velocity" and "joint_force" (force [N] and torque [N m] on the first body in the last
+        step, 6 numbers).
 
         Args:
             name: the quantity.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_rigid import progress_bar
-from warp_rigid.checks import number_in
+from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.display import Inline, film_of, html_of
 from warp_rigid.engine.quantities import is_of_bodies
 from warp_rigid.engine.step_reports import CONTACT_RECORD
@@ -413,11 +413,12 @@ def record(
         A Recording of frames + 1 frames; the first is the state before the first step.
 
     Raises:
-        ValueError: fps does not divide the step rate, frames is negative, an environment does not exist, or the camera
-            follows a body that does not exist.
+        ValueError: sim is a Scene, fps does not divide the step rate, frames is no whole number >= 0, an environment
+            does not exist, or the camera follows a body that does not exist.
     """
-    if frames < 0:
-        raise ValueError(f"frames: must be >= 0, got {frames}")
+    if isinstance(sim, Scene):
+        raise ValueError(f"sim: must be a Simulator, got {shown(sim)}")
+    frames = whole_in("frames", frames, 0, 2**31)
     steps = steps_per_frame(sim.settings.dt, fps)
     recorder = Recorder(sim, fps, envs, velocities=velocities, contacts=contacts, camera=camera)
     with progress_bar.progress("recording", frames, progress) as advance:

@@ -63,6 +63,20 @@ def file_of_image(path: str) -> str:
     return path.split("[")[0] if path.endswith("]") else path
 
 
+def check_looks(name: str, looks: Any, bodies: int) -> None:
+    """Check that each look belongs to one of the bodies, by its index.
+
+    Raises:
+        ValueError: One does not, or is no Look; the message begins with `name`.
+    """
+    if not isinstance(looks, dict):
+        raise ValueError(f"{name}: must be a dictionary of Look by the index of the body, got {shown(looks)}")
+    for body, look in looks.items():
+        whole_in(f"{name}: index of a body", body, 0, bodies - 1)
+        if not isinstance(look, Look):
+            raise ValueError(f"{name}[{body}]: must be a Look, got {shown(look)}")
+
+
 def looks_to_data(looks: dict[int, Look]) -> list[list]:
     """Looks of bodies by index as plain data."""
     return [[body, look.color, look.roughness, look.metallic, look.image] for body, look in sorted(looks.items())]

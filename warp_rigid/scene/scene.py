@@ -106,7 +106,7 @@ class Scene:
         bounds: as given, or None.
         out_of_bounds: as given.
         camera: as given; may be set.
-        looks: Look of bodies by their index, from the materials of imported files.
+        looks: Look of bodies by their index; imports fill it from the materials of their files.
 
     Raises:
         ValueError: gravity is not three finite numbers, a rule is unknown, the bounds are not a box, or the camera is
@@ -347,12 +347,7 @@ class Scene:
         Raises:
             ValueError: There is no such body.
         """
-        if not isinstance(body, str):
-            return whole_in(name, body, 0, len(self.bodies) - 1)
-        for index, other in enumerate(self.bodies):
-            if other.name == body:
-                return index
-        raise ValueError(f"{name}: must be the index or name of a body, got {shown(body)}")
+        return index_of(name, body, self.bodies, "a body")
 
     def filter_pair(self, a: int | str, b: int | str) -> None:
         """Disable contacts between two bodies.
@@ -435,7 +430,7 @@ class Scene:
 
     def add_drive(
         self,
-        joint: int,
+        joint: int | str,
         *,
         stiffness: float = 0.0,
         damping: float = 0.0,
@@ -449,7 +444,7 @@ class Scene:
         velocity acts against all rotations.
 
         Args:
-            joint: index of the joint.
+            joint: index of the joint, as returned by add_joint, or its name.
             stiffness: [N m/rad] for a revolute joint, [N/m] for a prismatic one, 0 for a spherical one.
             damping: [N m s/rad] or [N s/m].
             max_force: largest torque [N m] or force [N].
@@ -459,7 +454,8 @@ class Scene:
         Raises:
             ValueError: There is no such joint, it cannot be driven, or a value is outside its range.
         """
-        entry = self.joints[whole_in("joint", joint, 0, len(self.joints) - 1)]
+        index = index_of("joint", joint, self.joints, "a joint")
+        entry = self.joints[index]
         drive = Drive(stiffness, damping, max_force, target_position, target_velocity)
         kind = type(entry.joint).__name__
         if entry.joint.coordinate == Coordinate.CONE:
@@ -467,7 +463,7 @@ class Scene:
                 raise ValueError(f"joint: a {kind} can be damped, but not driven: only damping can be given")
         elif entry.joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
             raise ValueError(f"joint: a drive needs a RevoluteJoint or a PrismaticJoint, got a {kind}")
-        self.joints[joint] = replace(entry, drive=drive)
+        self.joints[index] = replace(entry, drive=drive)
 
     def _check_shape(self, shape, motion):
         if not isinstance(shape, Shape):
@@ -522,6 +518,26 @@ def _start(state: tuple, path: PosePath | None) -> tuple:
         if not np.array_equal(value, start):
             raise ValueError(f"{name}: must not be given together with a path, which has it")
     return (*path.at(0.0), STILL, STILL)
+
+
+def index_of(name: str, wanted: int | str, entries: Sequence[Body | JointEntry], owner: str) -> int:
+    """The index of the entry with an index or a name.
+
+    Args:
+        name: of the argument, for the error message.
+        wanted: the index or the name.
+        entries: all bodies or all joints.
+        owner: "a body" or "a joint", for the error message.
+
+    Raises:
+        ValueError: There is no such entry.
+    """
+    if not isinstance(wanted, str) and entries:
+        return whole_in(name, wanted, 0, len(entries) - 1)
+    for index, entry in enumerate(entries):
+        if entry.name == wanted:
+            return index
+    raise ValueError(f"{name}: must be the index or name of {owner}, got {shown(wanted)}")
 
 
 def unique_name(wanted: str, copies: dict[str, int]) -> str:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from warp_rigid.checks import one_of
+from warp_rigid.checks import one_of, shown
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs.recording import Recording
 
@@ -44,7 +44,9 @@ class UsdOptions:
             raise ValueError(f"layout: must be single for .usdz, got {self.layout}; use .usdc or .usda")
 
     def check_film(self, film: Recording) -> None:
-        """Check that the required quantities were recorded."""
+        """Check that it is a recording with the required quantities."""
+        if not isinstance(film, Recording):
+            raise ValueError(f"recording: must be a Recording, as record() returns, got {shown(film)}")
         if film.scene is None and (self.profile == "scene" or self.contacts):
             name = "contacts" if self.contacts else "profile"
             raise ValueError(f"{name}: requires masses and materials, which a recording read from a file lacks")

@@ -136,10 +136,21 @@ def _convert(path: Path, folder: str) -> list[ImportFinding]:
     lines = (done.stdout + done.stderr).splitlines()
     told = [match.groups() for match in map(MESSAGE.match, lines) if match]
     if done.returncode or not list(Path(folder).glob("*.usd*")):
-        reasons = [text for severity, text in told if severity == "Error"] or lines[-1:] or ["no message"]
-        raise ValueError(f"{path}: {name}: {reasons[0]}")
+        raise ValueError(f"{path}: {name}: {_reason(lines)}")
     told += [("Warning", NOT_FOUND.format(name)) for name, place in packages.items() if place is None]
     return [ImportFinding(path.name, "left out", text) for text in dict.fromkeys(text for _, text in told)]
+
+
+def _reason(lines: list[str]) -> str:
+    """Why a conversion failed: the first error with the lines that belong to it, else the last message or line."""
+    lines = [line.strip() for line in lines if line.strip()]
+    starts = [row for row, line in enumerate(lines) if MESSAGE.match(line)]
+    errors = [row for row in starts if lines[row].startswith("[Error]")]
+    if not starts:
+        return lines[-1] if lines else "no message"
+    start = errors[0] if errors else starts[-1]
+    end = min((row for row in starts if row > start), default=len(lines))
+    return MESSAGE.sub(r"\2", " ".join(lines[start:end]))
 
 
 def _run(command: list[str], folder: str) -> subprocess.CompletedProcess:
