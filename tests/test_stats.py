@@ -5,7 +5,7 @@ import numpy as np
 from tests.oracles import ground_scene, random_pile
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.scene.shapes import Box
+from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders.stacks import add_stack
 
 
@@ -50,6 +50,51 @@ def test_islands_are_counted_by_how_they_were_solved(device):
     sim.step(100)
     settled = sim.stats()
     assert settled["islands_shock"][2] == 0 and settled["residual"][2] < 1e-6
+
+
+def test_sweeps_with_impacts_are_counted(device):
+    """In the step in which a ball lands on the ground, and in no other."""
+    scene = ground_scene(restitution=0.5)
+    scene.add_body(Sphere(0.1), position=(0.0, 0.0, 0.2), restitution=0.5)
+    sim = Simulator(scene, device=device)
+    counts = []
+    for _ in range(60):
+        sim.step(1)
+        counts.append((sim.stats()["impact_sweeps"][0], sim.get("linear_velocity")[0, 1, 2] > 0.0))
+    landed = [rises for _, rises in counts].index(True)
+    assert 30 < landed < 40  # a fall of 0.1 m takes 34 steps
+    assert [count for count, _ in counts] == [int(step == landed) for step in range(60)]
+
+
+def test_rounds_with_impacts_are_counted(device):
+    """A ball lands on a tower, most of whose boxes have no restitution, in an environment that is solved in rounds."""
+    scene = ground_scene()
+    for k in range(130):
+        scene.add_body(Box((0.1,) * 3), position=(0.5 * (k % 13), 0.5 * (k // 13), 0.1))
+    for k in range(1, 4):
+        scene.add_body(Box((0.1,) * 3), position=(0.0, 0.0, 0.1 + 0.2 * k), restitution=float(k == 3))
+    scene.add_body(Sphere(0.1), position=(0.0, 0.0, 0.95), restitution=1.0)
+    sim = Simulator(scene, device=device)
+    counts = []
+    for _ in range(40):
+        sim.step(1)
+        counts.append([sim.stats()[name][0] for name in ("impact_rounds", "impact_sweeps")])
+    rounds, sweeps = np.transpose(counts)
+    assert sweeps.sum() == 0 and 1 <= rounds.max() <= sim.settings.collision_iterations
+    assert 20 < rounds.argmax() < 30 and np.count_nonzero(rounds) <= 2  # a fall of 0.05 m takes 24 steps
+
+
+def test_the_accepted_share_is_the_smallest_of_all_islands(device):
+    """It is below 1 while bodies fall on each other, and 1 in the air and without shock propagation."""
+    sim = Simulator(random_pile(np.random.default_rng(2)), num_envs=2, device=device)
+    sim.set("shock_propagation", ["two_pass", "off"])
+    shares = []
+    for _ in range(100):
+        sim.step(1)
+        shares.append(sim.stats()["accepted_share"])
+    shares = np.array(shares)
+    assert (shares >= 0.0).all() and (shares[:, 1] == 1.0).all()
+    assert shares[0, 0] == 1.0 and shares[:, 0].min() < 0.99
 
 
 def test_sweeps_are_those_of_the_settings_where_nothing_converges(device):

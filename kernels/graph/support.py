@@ -85,6 +85,8 @@ def start_graph(graph: Graph):
     graph.overlapping[env] = 0
     graph.sweeps[env] = 0
     graph.residual[env] = 0.0
+    graph.impact_sweeps[env] = 0
+    graph.impact_rounds[env] = 0
     graph.shock_sweeps[env] = 0
     graph.push_out_sweeps[env] = 0
     graph.rounds[env] = 0

@@ -65,11 +65,20 @@ def find_impacts(
 
 @wp.kernel
 def impact_round(
-    dt: float, threads: int, envs: Environments, rounds: Rounds, motions: Motions, contacts: Contacts, slots: Slots
+    dt: float,
+    threads: int,
+    envs: Environments,
+    rounds: Rounds,
+    motions: Motions,
+    contacts: Contacts,
+    slots: Slots,
+    counts: wp.array[int],
 ):
-    """The threads share the pairs: solve the impacts of each for its copies of the bodies."""
+    """The threads share the pairs: solve the impacts of each for its copies of the bodies, and count the rounds."""
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = read_round_pair(k, rounds.pairs)
+        if counts[entry.env] <= rounds.done[0]:
+            wp.atomic_max(counts, entry.env, rounds.done[0] + 1)
         entry.sharing_a = rounds.sharing[entry.body_a]
         entry.sharing_b = rounds.sharing[entry.body_b]
         share_a = float(entry.sharing_a)

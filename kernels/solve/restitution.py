@@ -240,4 +240,7 @@ def solve_impacts(
             for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
                 collided |= solve_impact(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
             sync_team(team)
-        left = any_of_team(collided, team) * (left - 1)
+        collided = any_of_team(collided, team)
+        left = collided * (left - 1)
+        if team.lane == 0:
+            graph.impact_sweeps[env] += collided

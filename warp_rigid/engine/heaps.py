@@ -49,7 +49,8 @@ class HeapStages:
             self._step.share(impact_rounds.find_impacts, self.most_pairs, inputs, changed, before=[self.dt])
 
         def solve() -> None:
-            self._per_round_pair(impact_rounds.impact_round, hit, [self.envs], changed, [self.dt])
+            counted = [*changed, pools.graph.impact_rounds]
+            self._per_round_pair(impact_rounds.impact_round, hit, [self.envs], counted, [self.dt])
             self._step.share(rounds.finish_bodies, self.bodies, [pools.slots], [self.motions])
             find(done=1)
 

@@ -477,8 +477,10 @@ class Simulator:
           solved with shock propagation, "islands_sweeps" by sweeps alone, because shock propagation is off, ineffective
           or was not needed, and "islands_rounds" in rounds, as in environments of more than 128 bodies.
           "islands_asleep" sleep.
-        - "sweeps", "rounds": sweeps and rounds of the contact solver. "shock_sweeps", "push_out_sweeps",
-          "push_out_rounds": those of shock propagation and of the push-out.
+        - "sweeps", "rounds": sweeps and rounds of the contact solver. "impact_sweeps", "impact_rounds", "shock_sweeps",
+          "push_out_sweeps", "push_out_rounds": those of impacts, shock propagation and push-out.
+        - "accepted_share": share of shock propagation that the line search accepted, the smallest of all islands; 1 if
+          there was none.
         - "residual": largest change of a velocity by a constraint row in the last sweep or round [m/s].
         - "pair_capacity_used", "contact_capacity_used": used fraction of the pool to which the environment belongs.
         """

@@ -7,8 +7,14 @@ import numpy as np
 from warp_rigid.engine import health_checks
 from warp_rigid.engine.shard import Shard
 from warp_rigid.engine.world import World
-from warp_rigid.kernels.enums import IslandSolver
+from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.scene.scene import Motion
+
+COUNTED = (
+    *("impact_sweeps", "impact_rounds", "sweeps", "rounds", "shock_sweeps", "push_out_sweeps", "push_out_rounds"),
+    "residual",
+)
+"""Arrays of the contact graph that `Simulator.stats` reports."""
 
 CONTACT_RECORD = np.dtype(
     [
@@ -106,7 +112,7 @@ def solver_stats(world: World) -> dict[str, np.ndarray]:
     """What the solver did in the last step; see Simulator.stats."""
     pairs, contacts = counts_of_environments(world)
     found = {"pairs": pairs, "contacts": contacts, **_island_counts(world)}
-    for name in ("sweeps", "rounds", "shock_sweeps", "push_out_sweeps", "push_out_rounds", "residual"):
+    for name in COUNTED:
         found[name] = world.shards.gather(partial(_graph_column, name=name))
     for name in ("pairs", "contacts"):
         used = world.shards.gather(partial(_capacity_used, name=name))
@@ -127,7 +133,7 @@ def _capacity_used(shard: Shard, name: str) -> np.ndarray:
 
 
 def _island_counts(world: World) -> dict[str, np.ndarray]:
-    """Islands of each environment in the last step, by how they were solved, (envs,) each."""
+    """Islands of each environment in the last step, by how they were solved, and their accepted share, (envs,) each."""
     env = world.layout.env_of_row
     present = (world.model.bodies.motion.numpy() == Motion.DYNAMIC) & (world.state.active.numpy() == 1)
     asleep = world.sleep_state.asleep.numpy() == 1
@@ -141,7 +147,20 @@ def _island_counts(world: World) -> dict[str, np.ndarray]:
     first = present & (np.where(asleep, slept, awake) == np.arange(len(env)))
     by_solver = {f"islands_{one.name.lower()}": first & ~asleep & (solver == one) for one in IslandSolver}
     counted = {"islands": first, **by_solver, "islands_asleep": first & asleep}
-    return {name: np.bincount(env[those], minlength=world.num_envs) for name, those in counted.items()}
+    counts = {name: np.bincount(env[those], minlength=world.num_envs) for name, those in counted.items()}
+    return counts | {"accepted_share": _accepted_share(world, np.flatnonzero(by_solver["islands_shock"]))}
+
+
+def _accepted_share(world: World, islands: np.ndarray) -> np.ndarray:
+    """Smallest share of shock propagation that the line search accepted in any of these islands, (envs,); else 1."""
+    envs, env = world.envs, world.layout.env_of_row[islands]
+    searched = (envs.shock_propagation.numpy() == ShockMode.TWO_PASS) & (envs.shock_iterations.numpy() > 0)
+    terms = (world.shards.gather(partial(_graph_column, name=name))[islands] for name in ("numerator", "denominator"))
+    numerator, denominator = (term.astype(np.float64) for term in terms)
+    share = np.divide(numerator, denominator, out=np.ones(len(islands)), where=searched[env] & (denominator > 0))
+    least = np.ones(world.num_envs)
+    np.minimum.at(least, env, np.clip(share, 0.0, 1.0))
+    return least
 
 
 def _counts_of_shard(shard: Shard) -> np.ndarray:
