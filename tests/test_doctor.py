@@ -1,9 +1,7 @@
 """`doctor` and `warmup`, and machines that lack something: no device, no room, no place to write."""
 
-import contextlib
 import json
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -194,40 +192,6 @@ def test_a_device_that_breaks_while_running_is_one_line(capsys, monkeypatch):
     broken("a fault of the program")
     with pytest.raises(RuntimeError, match="a fault"):
         cli.main(["run", "incline", "--device", "cpu"])
-
-
-def test_a_full_disk_is_one_line(capsys, tmp_path, full_disk):
-    arguments = [
-        "--frames",
-        "1",
-        "--device",
-        "cpu",
-        "--checkpoint",
-        str(tmp_path / "a.ckpt"),
-        "--checkpoint-every",
-        "1",
-    ]
-    with full_disk():
-        status, _, err = run(capsys, "run", "incline", *arguments)
-    assert status == 2
-    assert err.splitlines()[-1] == f"warp-rigid: {tmp_path / 'a.ckpt'}: File too large"
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.fixture
-def full_disk():
-    """Files of this process end at 1000 bytes, as they do on a disk that becomes full while they are written."""
-
-    @contextlib.contextmanager
-    def full():
-        before = resource.getrlimit(resource.RLIMIT_FSIZE)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
-        try:
-            yield
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-    return full
 
 
 @pytest.mark.parametrize(

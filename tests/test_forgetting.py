@@ -11,16 +11,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.oracles import random_quaternion, stages_of
-from tests.random_scenes import (
-    POOL,
-    act,
-    first_difference,
-    heap,
-    random_scene,
-    random_settings,
-    random_shape,
-    shown_by,
-)
+from tests.random_scenes import POOL, act, first_difference, heap, random_scene, random_settings, random_shape, shown_by
 from warp_rigid.kernels import declare
 from warp_rigid.kernels.declare import LAYOUTS, Lifetime
 

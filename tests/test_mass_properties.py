@@ -7,11 +7,7 @@ import pytest
 import trimesh
 
 import warp_rigid as wr
-from tests.geometry_oracles import (
-    cube,
-    random_rotation,
-    star_prism,
-)
+from tests.geometry_oracles import cube, random_rotation, star_prism
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere, mass_properties
 from warp_rigid.validation.mass_and_distance import exact_solids
 

@@ -36,10 +36,6 @@ PROGRAMS = blocks("python", OTHERS)
 OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigid ")]
 
 
-def test_there_is_something_to_test():
-    assert len(OWN_COMMANDS) >= 10 and len(PROGRAMS) >= 1
-
-
 @pytest.mark.parametrize("command", OWN_COMMANDS)
 def test_command_runs(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

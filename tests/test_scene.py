@@ -34,11 +34,7 @@ def test_bodies_keep_the_order_of_adding():
     assert scene.add_static(Ground()) == 0
     assert scene.add_body(Lump()) == 1
     assert scene.add_kinematic(Lump()) == 2
-    assert [body.motion for body in scene.bodies] == [
-        Motion.STATIC,
-        Motion.DYNAMIC,
-        Motion.KINEMATIC,
-    ]
+    assert [body.motion for body in scene.bodies] == [Motion.STATIC, Motion.DYNAMIC, Motion.KINEMATIC]
     assert repr(scene) == "Scene(1 dynamic, 1 kinematic, 1 static bodies)"
 
 

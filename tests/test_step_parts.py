@@ -86,11 +86,6 @@ def test_simulators_in_threads_share_the_cores(on_workers):
     assert at_once(outcome, sims) == [expected, expected]
 
 
-def test_more_workers_than_the_bodies_occupy_are_not_used():
-    assert [step_parts.useful_workers(64, bodies) for bodies in (129, 256, 1000, 4096)] == [1, 2, 7, 16]
-    assert step_parts.useful_workers(3, 4096) == 3
-
-
 def test_a_short_part_is_not_shared(on_workers, monkeypatch):
     """It is executed on the current thread, from the second step on."""
     sim = on_workers(2)

@@ -18,7 +18,6 @@ import zarr
 
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
-from warp_rigid.files import atomic
 from warp_rigid.sweep import batch_run as batch_module
 from warp_rigid.sweep import merge, read, read_series
 from warp_rigid.sweep import table as table_module
@@ -112,21 +111,6 @@ def test_a_name_with_no_room_for_that_of_the_metadata_is_refused_before_any_run(
     assert runs_done == [] and list(tmp_path.iterdir()) == []
     quick({"height": [0.1]}, output=tmp_path / ("a" * longest + ".parquet"))
     assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_interrupted_writing_leaves_the_old_table(tmp_path, monkeypatch):
-    path = tmp_path / "t.parquet"
-    result = quick(AXES, output=path)
-    before = path.read_bytes()
-
-    def fail(*_):
-        raise OSError("the disk is full")
-
-    monkeypatch.setattr(atomic.os, "replace", fail)
-    with pytest.raises(OSError, match="disk is full"):
-        result.to_parquet(path)
-    assert path.read_bytes() == before
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["t.parquet", "t.parquet.json"]
 
 
 def test_an_error_in_the_caller_keeps_what_is_done(tmp_path):

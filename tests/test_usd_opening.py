@@ -299,17 +299,6 @@ def test_the_parsers_reason_is_told(file):
         wr.import_usd(path)
 
 
-def test_a_film_of_endless_frames_is_refused(file):
-    text = (
-        '(\ndefaultPrim = "World"\nstartTimeCode = 0\nendTimeCode = 1e12\n)\ndef Xform "World" {\ndef Xform "env" {\n'
-        'def Xform "body" {\nquatd xformOp:orient = (1, 0, 0, 0)\n}\n}\n}\n'
-    )
-    with pytest.raises(ValueError, match="endTimeCode: must be a number from 0 to 100000"):
-        film_from_usd(file(text))
-    with pytest.raises(ValueError, match="/World/env/body has no geometry"):
-        film_from_usd(file(text.replace("1e12", "3")))
-
-
 def test_sublayers_that_are_missing_damaged_or_too_many(tmp_path, file):
     """Without those that cannot be read the rest stands, and the report names them."""
     (tmp_path / "bad.usda").write_text("nonsense")

@@ -157,18 +157,6 @@ def refused(served, path=None, **options):
     return found.value.response.status_code
 
 
-def test_replayed_attack_from_another_origin_is_refused_and_executes_nothing(served, attack):
-    try:
-        with served.socket(origin="http://attacker.example") as page:
-            page.send(msgspec.msgpack.encode(CAMERA))
-            update(page, served.widget("scene"), str(attack))
-            time.sleep(1.0)
-    except websockets.exceptions.InvalidStatus as error:
-        assert error.response.status_code == 403
-    else:
-        raise AssertionError("the attacker's page was connected")
-
-
 @pytest.mark.parametrize(
     "origin", ["http://attacker.example", "null", "http://127.0.0.1:1", "https://{netloc}", "http://localhost:{port}"]
 )
@@ -270,15 +258,6 @@ def test_value_that_a_control_does_not_offer_changes_nothing(served, page, name,
         assert widget.value == before
     assert served.viewer.session.speed > 0.0
     assert served.viewer.session.sim.settings.dt == dt
-    served.alive()
-
-
-def test_zero_steps_per_second_is_refused_on_the_page(served, page, caplog):
-    with caplog.at_level(logging.WARNING, logger="warp_rigid"):
-        update(page, served.widget("dt"), "0.0")
-        settle(served, page)
-    assert "Steps per second: must be one of 60, 120, 240, 480, 960, got '0.0'" in caplog.text
-    assert "Traceback" not in caplog.text
     served.alive()
 
 
@@ -518,12 +497,6 @@ def test_host_that_is_not_of_this_machine_is_one_line(host, capsys):
     assert cli.main(["view", "seesaw", "--device", "cpu", "--host", host]) == 2
     told = capsys.readouterr().err.strip().splitlines()
     assert len(told) == 1 and "host" in told[0] and host in told[0]
-
-
-@pytest.mark.parametrize("port", [0, 65536])
-def test_port_of_a_viewer_is_checked(film, port):
-    with pytest.raises(ValueError, match=r"port: must be in \[1, 65535\]"):
-        FilmViewer(film, port=port)
 
 
 def test_host_beyond_this_machine_is_told(capsys, monkeypatch):
