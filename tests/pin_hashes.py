@@ -62,7 +62,15 @@ def rollers() -> wr.Scene:
 SCENES: dict[str, Callable[[], wr.Scene]] = {
     **{
         name: lambda name=name: wr.scenes.load(name)
-        for name in ("box_stack", "leaning_tower", "incline", "plank_launch", "seesaw", "skull_and_brain", "bunny_pile")
+        for name in (
+            "box_stack",
+            "leaning_tower",
+            "incline",
+            "plank_launch",
+            "seesaw",
+            "skull_and_brain",
+            "bunny_pile",
+        )
     },
     "random_pile": lambda: random_pile(np.random.default_rng(0)),
     "hail": hail,

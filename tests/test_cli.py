@@ -119,7 +119,8 @@ def test_an_unexpected_verdict_has_its_own_status(capsys, monkeypatch, expected,
 
     demo = replace(scenes.get("incline"), outcome=Slides, duration=1 / 60)
     monkeypatch.setattr("warp_rigid.runs.runner.find_scene", lambda name: demo)
-    assert run(capsys, "run", "incline")[0] == status
+    found, out, _ = run(capsys, "run", "incline")
+    assert found == status and ("NOT AS EXPECTED" in out) == (status == 6)
 
 
 @pytest.mark.parametrize(

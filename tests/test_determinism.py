@@ -52,7 +52,7 @@ def test_ends_depend_on_nothing_but_the_start(device, tmp_path, settings):
     alone = [run(device, [start], settings)[0] for start in range(STARTS)]
     assert len(set(alone)) == STARTS, "the starts must differ for this to tell anything"
     assert run(device, [0], settings) == [alone[0]]
-    for size in (7, 24) if device == "cpu" else (7, 24, 4096):
+    for size in (24,) if device == "cpu" else (24, 4096):
         starts = np.random.default_rng(size).integers(0, STARTS, size).tolist()
         ends = run(device, starts, settings)
         assert [end == alone[start] for start, end in zip(starts, ends, strict=True)] == [True] * size

@@ -86,6 +86,7 @@ def test_a_lock_holds_what_its_packages_need(name):
     assert [key for key, allowed in ranges.items() if not allowed.contains(pins[key], prereleases=True)] == []
 
 
+@pytest.mark.long
 def test_renewing_the_locks_changes_nothing(tmp_path):
     """By the metadata of the index, for each Python and platform; later files of the same version do not count."""
     for file in ("Makefile", "pyproject.toml", "docs/make_sbom.py", *LOCKS.values()):

@@ -82,7 +82,7 @@ def test_import_is_quick_and_light(tmp_path):
         subprocess.run(
             [sys.executable, "-c", IMPORT], cwd=ROOT, check=True, capture_output=True, text=True, env=environment
         ).stdout.split()
-        for _ in range(4)
+        for _ in range(3)
     ]
     loaded = {module.split(".")[0] for module in runs[0][1:]}
     assert loaded.isdisjoint(HEAVY)

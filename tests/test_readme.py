@@ -17,6 +17,7 @@ from warp_rigid.commands import cli
 from warp_rigid.engine import hash_grid, heaps, step
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels.joints import joint_stages
+from warp_rigid.render import images
 from warp_rigid.scene import fields
 from warp_rigid.validation import suite
 
@@ -32,13 +33,18 @@ OTHERS = [page for page in PAGES if page.parent.name != "sweeps" and page.name !
 """Not those that tests/test_sweep_docs.py and tests/test_bench.py run."""
 
 COMMANDS = commands(OTHERS)
+TESTED = ("warp-rigid doctor", "warp-rigid warmup")
+"""By tests/test_doctor.py."""
 PROGRAMS = blocks("python", OTHERS)
-OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigid ")]
+OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigid ") and command not in TESTED]
+SMALL_PICTURES = {"PICTURE_SIZE": (320, 180), "GIF_SIZE": (320, 180), "SHEET_SIZE": (160, 90), "SMALLEST_PANEL": 80}
 
 
 @pytest.mark.parametrize("command", OWN_COMMANDS)
 def test_command_runs(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for name, size in SMALL_PICTURES.items():
+        monkeypatch.setattr(images, name, size)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     write_scene_files(OTHERS, tmp_path)
     arguments = arguments_of(command)

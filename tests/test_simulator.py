@@ -208,6 +208,9 @@ def test_reset_of_some_environments_leaves_the_others(device):
     other.step(100)
     assert same_state(sim, 0, other, 0)
     assert same_state(sim, 2, other, 0)
+    sim.set("friction", 0.05)
+    sim.reset()
+    assert sim.get("friction").max() == pytest.approx(0.05), "what was set stays"
 
 
 TINY = {"pairs": 1, "contacts": 1}

@@ -130,30 +130,39 @@ def test_payloads_can_stay_closed(recording, tmp_path):
 KILLED = """
 import os, sys
 import warp_rigid as wr
-from tests.test_usd_stream import simulator
+from tests.test_usd_stream import LEFT, simulator
 sim = simulator()
-stream = wr.UsdStream(sim, sys.argv[1], fps=60.0, profile=sys.argv[2], layout=sys.argv[3])
+films = [
+    wr.UsdStream(sim, os.path.join(sys.argv[1], name), fps=60.0, profile=profile, layout=layout)
+    for name, profile, layout in LEFT
+]
 for _ in range({frames}):
     sim.step(4)
-    stream.capture(sim)
+    for film in films:
+        film.capture(sim)
 os._exit(9)
 """
 
+LEFT = [
+    ("animation.usdc", "animation", "single"),
+    ("scene.usdc", "scene", "single"),
+    ("scene.usda", "scene", "single"),
+    ("clips.usdc", "animation", "clips"),
+]
 
-@pytest.mark.parametrize(
-    ("name", "profile", "layout"),
-    [
-        ("film.usdc", "animation", "single"),
-        ("film.usdc", "scene", "single"),
-        ("film.usda", "scene", "single"),
-        ("film.usdc", "animation", "clips"),
-    ],
-)
-def test_a_program_that_dies_leaves_its_frames(recording, name, profile, layout, tmp_path):
-    path = tmp_path / name
+
+@pytest.fixture(scope="module")
+def left(tmp_path_factory):
+    """The folder of a program that died while it wrote films."""
+    folder = tmp_path_factory.mktemp("left")
     code = KILLED.format(frames=FLUSH_EVERY + 10)
-    done = subprocess.run([sys.executable, "-c", code, str(path), profile, layout], cwd=ROOT)
-    assert done.returncode == 9
+    assert subprocess.run([sys.executable, "-c", code, str(folder)], cwd=ROOT).returncode == 9
+    return folder
+
+
+@pytest.mark.parametrize(("name", "profile", "layout"), LEFT)
+def test_a_program_that_dies_leaves_its_frames(recording, left, name, profile, layout, tmp_path):
+    path = left / name
     stage = Usd.Stage.Open(str(path))
     assert stage.GetEndTimeCode() == FLUSH_EVERY
     wr.export_usd(recording, tmp_path / "all.usdc", profile=profile)

@@ -28,7 +28,13 @@ def slug(case):
     return f"{case.id} {case.title}"
 
 
-@pytest.mark.parametrize("case", QUICK, ids=slug)
+LONG = ("V05", "V76")
+"""Cases that take longest; tests of grids, and of heaps that land, cover the same in a shorter time."""
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.long] * (case.id in LONG)) for case in QUICK], ids=slug
+)
 def test_quick_case(case, device):
     """Every check is within its tolerance, or is a known miss; a miss that is met must be listed no longer."""
     _, findings = judge(case, device)

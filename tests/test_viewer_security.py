@@ -311,11 +311,9 @@ def test_message_that_cannot_be_read_ends_its_connection_only(served, page, capl
     assert "Traceback" not in caplog.text and all("\n" not in record.getMessage() for record in lines)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"position": (float("nan"),) * 3}, {"position": (1.0,)}, {"wxyz": ()}, {"look_at": (3.0, 0.0, 1.0)}]
-)
-def test_wrong_camera_does_not_hinder_loading_a_scene(served, page, wrong):
-    page.send(msgspec.msgpack.encode({**CAMERA, **wrong}))
+def test_wrong_cameras_do_not_hinder_loading_a_scene(served, page):
+    for wrong in ({"position": (float("nan"),) * 3}, {"position": (1.0,)}, {"wxyz": ()}, {"look_at": (3.0, 0.0, 1.0)}):
+        page.send(msgspec.msgpack.encode({**CAMERA, **wrong}))
     settle(served, page)
     for name in ("incline", "seesaw"):
         update(page, served.widget("scene"), name)
@@ -335,7 +333,6 @@ def test_wrong_camera_does_not_hinder_loading_a_scene(served, page, wrong):
         {"wxyz": "abcd"},
         {"near": float("nan")},
         {"image_height": 0},
-        {"look_at": CAMERA["position"]},
     ],
 )
 def test_camera_that_no_page_has_is_ignored_in_every_thread(served, page, monkeypatch, wrong):
@@ -351,10 +348,10 @@ def test_camera_that_no_page_has_is_ignored_in_every_thread(served, page, monkey
     assert failed == []
 
 
-@pytest.mark.parametrize("uuid", ["no such control", 3, [], {}, None])
 @pytest.mark.parametrize("updates", [{}, {"value": {}}, [], "value", None])
-def test_malformed_update_is_ignored(served, page, uuid, updates):
-    send(page, type="GuiUpdateMessage", uuid=uuid, updates=updates)
+def test_malformed_update_is_ignored(served, page, updates):
+    for uuid in ("no such control", 3, [], {}, None):
+        send(page, type="GuiUpdateMessage", uuid=uuid, updates=updates)
     settle(served, page)
 
 
