@@ -292,25 +292,6 @@ def test_other_threads_run_while_a_step_does(on_cores):
     assert naps > 3
 
 
-def test_work_is_spread_and_its_errors_come_back():
-    assert cores.spread(lambda n: n * n, range(20), 3) == [n * n for n in range(20)]
-    assert cores.spread(lambda n: n, [], 3) == []
-    busy = []
-
-    def fails(n):
-        busy.append(n)
-        if n == 1:
-            raise ValueError("one")
-        time.sleep(0.05)
-        busy.remove(n)
-
-    for threads in (1, 2, 4):
-        busy.clear()
-        with pytest.raises(ValueError, match="one"):
-            cores.spread(fails, range(4), threads)
-        assert busy == [1], "nothing is at work any more"
-
-
 def test_a_forked_process_starts_its_own_threads():
     assert cores.spread(lambda n: n, range(4), 4) == list(range(4))
     child = os.fork()
