@@ -169,6 +169,9 @@ Motions = layout(
     is_finite=Field(int, "bodies", "", "1: the state was finite at the start of the step"),
     acceleration=Field(wp.vec3, "bodies", "m/s^2", "acceleration by gravity, force fields and the external force"),
     spin_acceleration=Field(wp.vec3, "bodies", "rad/s^2", "angular acceleration by the external torque"),
+    velocity_unit=Field(
+        float, "bodies", "m/s", "unit of the solvers' tolerances, the same in an environment (predict.py)"
+    ),
     lower=Field(wp.vec3, "bodies", "m", "lower corner of the swept bounding box of this step"),
     upper=Field(wp.vec3, "bodies", "m", "upper corner of the swept bounding box of this step"),
     radius=Field(float, "bodies", "m", "radius of the bounding sphere about the centre of mass"),
@@ -432,6 +435,7 @@ Constraints = layout(
     body_b=Field(int, "pairs", "", "second body"),
     first_row=Field(int, "pairs", "", "first contact"),
     row_count=Field(int, "pairs", "", "number of contacts; 0: not active in this step"),
+    row_count_before=Field(int, "pairs", "", "`row_count` of the last step"),
     last=Field(int, "pairs", "", "index of the same constraint in the last step, -1 if it is new"),
 )
 
@@ -454,12 +458,12 @@ Graph = layout(
     supports=Field(
         int, "pairs", "", "bit mask: 1 if the second body supports the first, 2 if the first supports the second"
     ),
-    supports_before=Field(int, "pairs", "", "`supports` of the last step; -1 for a constraint that was not active"),
+    supports_before=Field(int, "pairs", "", "`supports` of the last step"),
     active=Field(int, "envs", "", "number of active constraints"),
     active_before=Field(
         int, "envs", "", "1 + number of active constraints of the last step; 0: its graph is not available", start=0
     ),
-    altered=Field(int, "envs", "", "1: the supports of a constraint differ from those of the last step"),
+    altered=Field(int, "envs", "", "1: the rows or supports of a constraint differ from those of the last step"),
     unchanged=Field(
         int, "envs", "", "1: the graph, and the islands that are solved in rounds, are the same as in the last step"
     ),
@@ -512,7 +516,7 @@ Graph = layout(
     ),
     level_count=Remembered(int, "envs", "", "highest level of a body with an active constraint"),
     colors=Field(wp.uint32, "bodies", "", "bit mask of the colours used at a body"),
-    bid=Field(int, "bodies", "", "highest priority of the constraints that bid for a colour at a body"),
+    bid=Field(wp.int64, "bodies", "", "highest priority of the constraints that bid for a colour at a body"),
     color=Field(int, "pairs", "", "colour; -1 for a constraint that is not active or not coloured yet"),
     color_before=Field(int, "pairs", "", "`color` of the last step"),
     tally=Field(int, f"envs, {COLORS}", "", "constraints of a colour, then the next free place of the colour"),

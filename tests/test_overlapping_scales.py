@@ -36,8 +36,12 @@ def places(scale, gravity):
 @pytest.mark.parametrize("gravity", [0.0, 9.81])
 @pytest.mark.parametrize("scale", [1 / 256, 1 / 16, 1 / 4, 4, 16])
 def test_overlapping_bodies_part_alike_at_every_scale(scale, gravity):
-    """Within 0.05 mm of 0.2 m: solvers end at velocity changes that are absolute, of 1e-4 m/s and less."""
-    np.testing.assert_allclose(places(scale, gravity), places(1, gravity), atol=5e-5)
+    """Solvers end at velocity changes in proportion to what gravity adds in a step, and at absolute ones without it.
+
+    Measured: up to 4e-6 of 0.2 m with gravity, 1.3e-5 without.
+    """
+    atol = 1e-5 if gravity > 0 else 3e-5
+    np.testing.assert_allclose(places(scale, gravity), places(1, gravity), atol=atol)
 
 
 def mechanism(scale, joint):

@@ -48,8 +48,12 @@ TRAVEL_WEIGHT = wp.constant(0.5)
 
 RANKED = wp.constant(0.02)
 """Overlaps beyond this fraction of the smaller size count as equal. Otherwise the deepest sample of a deep overlap
-would replace those that support the body, which would then turn further in about a single contact. Gaps beyond it count
-as equal, too, where a body is a convex solid: it has few samples, and may turn onto each of its corners."""
+would replace those that support the body, which would then turn further in about a single contact. Gaps beyond it that
+close count as equal, too, where a body is a convex solid: it has few samples, and may turn onto each of its corners."""
+
+COMES_NEAR = wp.constant(0.5)
+"""A gap closes if less than this fraction of it is left after the step. If all gaps beyond RANKED counted as equal, the
+edge of a narrow tile beyond the end of a capsule would replace the contact that carries it."""
 
 TIE = wp.constant(1.0e-6)
 """A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
@@ -167,7 +171,10 @@ def offer_sample(
         score = -touch.left
         if k < DIRECTIONS:
             counts = wp.where(k % 2 == 0, ranking.upright, ranking.tipped)
-            score = extent(k, x, y) - counts * wp.clamp(touch.gap, -ranking.deepest, ranking.furthest)
+            gap = wp.max(touch.gap, -ranking.deepest)
+            if touch.left < COMES_NEAR * touch.gap:
+                gap = wp.min(gap, ranking.furthest)
+            score = extent(k, x, y) - counts * gap
         slot = patch * SLOTS + k
         if pairs.slot_key[pair, slot] < 0 or score > pairs.slot_score[pair, slot] + TIE * size * counts:
             pairs.slot_key[pair, slot] = key

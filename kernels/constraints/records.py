@@ -16,6 +16,12 @@ def is_active(k: int, constraints: Constraints):
     return constraints.row_count[k] > 0
 
 
+@wp.func
+def weight_of(rows: int):
+    """Weight of a constraint of so many rows in the order of the colours; it changes more seldom than their number."""
+    return rows
+
+
 @wp.kernel
 def list_pairs(threads: int, envs: Environments, pairs: Pairs, constraints: Constraints):
     """The threads share the pairs and the environments: first constraints of environments, and contact constraints."""
@@ -34,10 +40,11 @@ def list_pairs(threads: int, envs: Environments, pairs: Pairs, constraints: Cons
 
 @wp.func
 def store_constraint(k: int, constraints: Constraints, graph: Graph):
-    """Store the supports, colour and start index of constraints, for comparison in the next step."""
+    """Store the number of rows, supports, colour and start index of constraints, for comparison in the next step."""
     last = constraints.start.shape[0] - 1
     if k < constraints.start[last]:
-        graph.supports_before[k] = wp.where(is_active(k, constraints), graph.supports[k], -1)
+        constraints.row_count_before[k] = constraints.row_count[k]
+        graph.supports_before[k] = graph.supports[k]
         graph.color_before[k] = graph.color[k]
     if k <= last:
         constraints.start_before[k] = constraints.start[k]

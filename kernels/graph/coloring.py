@@ -4,14 +4,16 @@ No two constraints of a colour share a dynamic body. The constraints of a colour
 and the result does not depend on their order. All sweeps process the constraints colour by colour.
 
 Colours are assigned in parallel rounds (Jones and Plassmann 1993): in each round, a constraint that has the highest
-priority at both its bodies takes the lowest colour that is free at both. The priority is a hashed index, so that chains
-of neighbouring constraints are not coloured one by one. Constraints at a body with all colours in use, such as a tray
-with many bodies on it, are solved serially.
+priority at both its bodies takes the lowest colour that is free at both. Constraints with more rows come first, since a
+colour takes as long as its longest constraint: it is best if the long ones share colours. Among those with as many
+rows, the priority is a hashed index, so that chains of neighbouring constraints are not coloured one by one.
+Constraints at a body with all colours in use, such as a tray with many bodies on it, are solved serially.
 """
 
 import warp as wp
 
 from warp_rigid.kernels.common.team import any_of_team, lowest_bit, sync_team, team_of
+from warp_rigid.kernels.constraints.records import weight_of
 from warp_rigid.kernels.enums import Motion
 from warp_rigid.kernels.graph.support import is_swept
 from warp_rigid.kernels.schema import COLORS, Bodies, Constraints, Environments, Graph, Order, OrderRecord
@@ -31,13 +33,20 @@ UNCOLORED = wp.constant(-1)
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
 """2^32 divided by the golden ratio, odd: multiplication by it is a bijective hash."""
 
-NO_BID = wp.constant(-2147483648)
+WEIGHT_FIRST = wp.constant(wp.int64(2**32))
+"""Factor on the weight in a priority: larger than all differences of hashed indices."""
+
+NO_BID = wp.constant(wp.int64(-(2**62)))
 
 
 @wp.func
-def priority(index: int):
-    """Priority of an index within an environment; distinct indices have distinct priorities (Fibonacci hashing)."""
-    return int(wp.uint32(index) * GOLDEN)
+def priority(k: int, begin: int, constraints: Constraints):
+    """Priority of a constraint: its weight, then its hashed index within the environment (Fibonacci hashing).
+
+    Distinct constraints have distinct priorities.
+    """
+    hashed = wp.int64(int(wp.uint32(k - begin) * GOLDEN))
+    return wp.int64(weight_of(constraints.row_count[k])) * WEIGHT_FIRST + hashed
 
 
 @wp.func
@@ -51,9 +60,9 @@ def place_bid(k: int, begin: int, bodies: Bodies, constraints: Constraints, grap
         graph.color[k] = SERIAL
         return
     if dynamic_a:
-        wp.atomic_max(graph.bid, a, priority(k - begin))
+        wp.atomic_max(graph.bid, a, priority(k, begin, constraints))
     if dynamic_b:
-        wp.atomic_max(graph.bid, b, priority(k - begin))
+        wp.atomic_max(graph.bid, b, priority(k, begin, constraints))
 
 
 @wp.func
@@ -61,7 +70,7 @@ def take_color(k: int, begin: int, bodies: Bodies, constraints: Constraints, gra
     """Take the lowest colour that is free at both bodies, if no other bid was higher."""
     a = constraints.body_a[k]
     b = constraints.body_b[k]
-    own = priority(k - begin)
+    own = priority(k, begin, constraints)
     dynamic_a = bodies.motion[a] == Motion.DYNAMIC
     dynamic_b = bodies.motion[b] == Motion.DYNAMIC
     if (dynamic_a and graph.bid[a] != own) or (dynamic_b and graph.bid[b] != own):

@@ -55,8 +55,8 @@ are long, needs 800 rounds in its first step; if it does not get them, it needs 
 HARDLY = wp.constant(0.05)
 """Largest speed of a body in an island that hardly moves, in sizes of the body per second."""
 
-SETTLED = wp.constant(1.0e-5)
-"""Rounds end when no contact changes the velocity of a body in a pile by more than this [m/s]."""
+SETTLED = wp.constant(2.5e-4)
+"""Rounds end when no contact changes the velocity of a body in a pile by more than this [`Motions.velocity_unit`]."""
 
 BALANCED = wp.constant(4.0e-7)
 """The same for a structure, as a fraction of the velocity that gravity adds in a step to all bodies that are stacked in
@@ -248,10 +248,13 @@ def most_rounds(island: int, iterations: int, graph: Graph):
 
 
 @wp.func
-def tolerance_of(island: int, gained: float, graph: Graph):
-    """Change of a velocity with which the rounds of an island end; gravity adds `gained` in a step [m/s]."""
+def tolerance_of(island: int, gained: float, unit: float, graph: Graph):
+    """Change of a velocity with which the rounds of an island end; gravity adds `gained` in a step [m/s].
+
+    `unit`: that of the island's `Motions.velocity_unit`.
+    """
     if is_pile(island, graph):
-        return float(SETTLED)
+        return SETTLED * unit
     speed = graph.island_speed[island] * graph.island_size[island]
     return wp.max(BALANCED * gained * wp.max(height_of(island, graph), LOWEST_STRUCTURE), ROUNDED * speed)
 

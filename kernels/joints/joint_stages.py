@@ -53,9 +53,7 @@ from warp_rigid.kernels.schema import (
 )
 from warp_rigid.kernels.solve.gauss_seidel import (
     find_shock_ineffective,
-    nearly_solved,
     report_sweeps,
-    spare_sweeps,
     sweep,
     sweeps_of,
 )
@@ -209,10 +207,9 @@ def sweep_with_joints(
     """
     team = team_of(wp.tid(), lanes)
     env = team.env
-    spare = int(0)
     if after_shock == 0:
         find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
-        spare = spare_sweeps(env, envs, graph)
+    unit = motions.velocity_unit[envs.first_body[env]]
     touched = any_touched(team, joints)
     starts = after_shock == 0 and touched * envs.warm_starting[env] == 1
     if starts:
@@ -222,7 +219,6 @@ def sweep_with_joints(
         left = sweeps_of(env, after_shock, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)
     unsolved = int(1)
-    calm = int(0)
     done = int(0)
     residual = float(0.0)
     is_searched = after_shock == 1 and searched(env, envs, graph)
@@ -234,19 +230,15 @@ def sweep_with_joints(
         if stage == SWEEPING:
             residual = change
             done += 1
-            unsolved = any_of_team(wp.where(residual > CONVERGED, 1, 0), team)
+            unsolved = any_of_team(wp.where(residual > CONVERGED * unit, 1, 0), team)
             left = unsolved * (left - 1)
-            if left == 0 and unsolved * spare > 0:
-                calm = nearly_solved(residual, team, graph)
-                left = calm * spare
-                spare = 0
         if stage == SEARCHING:
             first = envs.first_body[env]
             search_energy(dt, first, envs.first_body[env + 1], team, order, graph, motions, contacts, joints)
         is_first = starts and done == 1 and stage == SWEEPING
         stage = wp.where(is_first, SEARCHING, stage_after(stage, left, touched, is_searched))
     if after_shock == 0:
-        graph.converged[env] = wp.max(1 - unsolved, calm)
+        graph.converged[env] = 1 - unsolved
     if after_shock != AFTER_PASSES:
         report_sweeps(done, residual, team, graph)
 
@@ -358,10 +350,11 @@ def push_joined(
         if needs_solution(m, joints):
             project(m, PUSH, part, motions, joints)
     sync_team(team)
+    unit = motions.velocity_unit[envs.first_body[env]]
     left = int(PUSH_OUT_SWEEPS)
     while left > 0:
         change = push_touching(team, order, motions, contacts, joints, visits)
-        left = any_of_team(wp.where(change > ENOUGH, 1, 0), team) * (left - 1)
+        left = any_of_team(wp.where(change > ENOUGH * unit, 1, 0), team) * (left - 1)
 
 
 @wp.kernel

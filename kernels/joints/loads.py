@@ -414,7 +414,7 @@ def solve_alone(start: int, entry: OrderRecord, motions: Motions, contacts: Cont
             for c in range(entry.begin, entry.end):
                 visit = touch(c, visit, contacts, joints)
             first = wp.max(first, visit.change)
-            left = wp.where(visit.change > CONVERGED, left - 1, 0)
+            left = wp.where(visit.change > CONVERGED * motions.velocity_unit[visit.a], left - 1, 0)
     store_bodies(visit.a, visit.b, visit.pair, motions)
     store_impulses(visit, joints)
     return first

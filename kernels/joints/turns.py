@@ -39,14 +39,14 @@ def occupied(b: int, motions: Motions, joints: Joints):
 
 
 @wp.func
-def bid_for(b: int, value: int, graph: Graph):
+def bid_for(b: int, value: wp.int64, graph: Graph):
     """Bid for a turn at a body."""
     if b >= 0:
         wp.atomic_max(graph.bid, b, value)
 
 
 @wp.func
-def is_won(b: int, value: int, graph: Graph):
+def is_won(b: int, value: wp.int64, graph: Graph):
     """Whether no other bid at a body was higher."""
     return b < 0 or graph.bid[b] == value
 
@@ -117,7 +117,7 @@ def bid_or_take(
         if entry.visited == WAITING:
             a = occupied(entry.body_a, motions, joints)
             b = occupied(entry.body_b, motions, joints)
-            value = first_row - entry.begin
+            value = wp.int64(first_row - entry.begin)
             if takes == 0:
                 bid_for(a, value, graph)
                 bid_for(b, value, graph)

@@ -13,14 +13,14 @@ wp.set_module_options({"enable_backward": False})
 USEFUL = wp.constant(0.1)
 """Step length from which shock propagation counts as effective for an island."""
 
-NO_WAY = wp.constant(1.0e-3)
-"""Velocity change below which effectiveness is not judged, as the island is at rest [m/s]."""
+NO_WAY = wp.constant(2.5e-2)
+"""Velocity change below which effectiveness is not judged, as the island is at rest [`Motions.velocity_unit`]."""
 
 
 @wp.func
-def steps_after_shock(steps: int, island: int, graph: Graph):
+def steps_after_shock(steps: int, island: int, unit: float, graph: Graph):
     """Ineffective steps after a step with shock propagation, from the step length and the velocity change."""
-    if graph.max_velocity_change[island] < NO_WAY:
+    if graph.max_velocity_change[island] < NO_WAY * unit:
         return wp.where(steps >= PATIENCE, steps + 1, steps)
     return wp.where(accepted_share(island, graph) < USEFUL, steps + 1, 0)
 
@@ -48,7 +48,7 @@ def count_ineffective_steps(
         steps = 0
     elif searched(env, envs, graph):
         if graph.solver[b] == IslandSolver.SHOCK:
-            steps = steps_after_shock(steps, graph.island[b], graph)
+            steps = steps_after_shock(steps, graph.island[b], motions.velocity_unit[b], graph)
         else:
             steps += 1
     state.heap_steps[b] = steps

@@ -20,32 +20,9 @@ wp.set_module_options({"enable_backward": False})
 SWEEPS = wp.get_module("warp_rigid.kernels.solve.gauss_seidel")
 """Module of the kernels that sweep; those in rest.py and calm.py are compiled together with these."""
 
-DEEP = wp.constant(40.0)
-"""Depth in bodies from which islands must be solved to CONVERGED where shock propagation is ineffective."""
-
-COARSEST = wp.constant(25.0)
-"""Maximum factor on CONVERGED for shallower islands."""
-
 SWEEPS_PER_DEPTH = wp.constant(2)
 """Additional sweeps per depth of the contact graph where shock propagation is ineffective and rounds are not possible,
 since load is then transmitted by sweeps alone."""
-
-
-@wp.func
-def tolerance_without_shock(env: int, graph: Graph):
-    """Velocity change per sweep below which an environment counts as solved without shock propagation [m/s].
-
-    At depth n, a sweep reduces the error by a fraction of about 1 / n^2, so the remaining error is n^2 times the change
-    by the last sweep. In a shallow heap it is small, comparable to the rounding errors of positions.
-    """
-    ratio = DEEP / float(wp.max(graph.max_depth[env], 1))
-    return CONVERGED * wp.clamp(ratio * ratio, 1.0, COARSEST)
-
-
-@wp.func
-def nearly_solved(change: float, team: Team, graph: Graph):
-    """1 if no lane of a team saw a larger change than `tolerance_without_shock`."""
-    return 1 - any_of_team(wp.where(change > tolerance_without_shock(team.env, graph), 1, 0), team)
 
 
 @wp.func
@@ -123,16 +100,6 @@ def sweeps_of(env: int, after_shock: int, envs: Environments, graph: Graph):
 
 
 @wp.func
-def spare_sweeps(env: int, envs: Environments, graph: Graph):
-    """Sweeps of the second half, which follow immediately in a heap that the first half has nearly solved."""
-    return wp.where(
-        envs.shock_propagation[env] == ShockMode.TWO_PASS,
-        graph.shock_ineffective[env] * envs.contact_iterations[env] / 2,
-        0,
-    )
-
-
-@wp.func
 def report_sweeps(sweeps: int, residual: float, team: Team, graph: Graph):
     """Record the number of sweeps and the residual of the step's last sweep; both are 0 before the first launch."""
     if team.lane == 0:
@@ -158,8 +125,7 @@ def sweep_constraints(
 
     With a single pass, all iterations come before it, as in 2003: bodies frozen in it must not move again, and the
     sweeps go level by level from the ground up. Sweeps end early once the velocities have converged; shock
-    propagation is then skipped. It is also skipped for heaps that the first half has nearly solved: there the second
-    half follows immediately.
+    propagation is then skipped.
     """
     team = team_of(wp.tid(), lanes)
     env = team.env
@@ -167,14 +133,12 @@ def sweep_constraints(
         if team.lane == 0:
             graph.converged[env] = 1
         return
-    spare = int(0)
     if after_shock == 0:
         find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
-        spare = spare_sweeps(env, envs, graph)
+    unit = motions.velocity_unit[envs.first_body[env]]
     left = sweeps_of(env, after_shock, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)
     unsolved = int(1)
-    calm = int(0)
     done = int(0)
     residual = float(0.0)
     while left > 0:
@@ -183,12 +147,8 @@ def sweep_constraints(
             change = wp.max(change, sweep(level, team, order, graph, motions, contacts))
         done += 1
         residual = change
-        unsolved = any_of_team(wp.where(change > CONVERGED, 1, 0), team)
+        unsolved = any_of_team(wp.where(change > CONVERGED * unit, 1, 0), team)
         left = unsolved * (left - 1)
-        if left == 0 and unsolved * spare > 0:
-            calm = nearly_solved(change, team, graph)
-            left = calm * spare
-            spare = 0
     if after_shock == 0:
-        graph.converged[env] = wp.max(1 - unsolved, calm)
+        graph.converged[env] = 1 - unsolved
     report_sweeps(done, residual, team, graph)

@@ -58,7 +58,8 @@ def find_impacts(
         if rounds.done[0] < envs.collision_iterations[entry.env] and can_rebound(entry, contacts):
             pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
             pull = relative_acceleration(entry, envs, motions)
-            if set_targets(entry.begin, entry.end, pair, pull, dt, contacts) == 1:
+            unit = motions.velocity_unit[entry.body_a]
+            if set_targets(entry.begin, entry.end, unit, pair, pull, dt, contacts) == 1:
                 list_round_pair(entry, 1, rounds, motions)
 
 
@@ -76,7 +77,8 @@ def impact_round(
         before = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
         before = with_split_masses(entry, before, motions.solver_bodies)
         lag = 0.5 * dt * relative_acceleration(entry, envs, motions)
-        after = after_impact(entry.begin, entry.end, share_a, share_b, lag, before, contacts)
+        unit = motions.velocity_unit[entry.body_a]
+        after = after_impact(entry.begin, entry.end, share_a, share_b, unit, lag, before, contacts)
         if before.inverse_mass_a > 0.0:
             store_change(entry.slot_a, 0, 0, (after.linear_a - before.linear_a) / share_a, 0.0, slots)
             store_change(entry.slot_a, 1, 0, (after.angular_a - before.angular_a) / share_a, 0.0, slots)

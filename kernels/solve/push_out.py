@@ -65,8 +65,9 @@ UPRIGHT = wp.constant(0.98)
 LIGHTER = wp.constant(10.0)
 """A lower body that is lighter than the upper one by this factor is always frozen: it would be pushed away instead."""
 
-ENOUGH = wp.constant(1.0e-4)
-"""Sweeps end when no contact changes a pseudo-velocity by more than this [m/s]: about a micrometre per step."""
+ENOUGH = wp.constant(2.5e-3)
+"""Sweeps end when no contact changes a pseudo-velocity by more than this [`Motions.velocity_unit`]: at 240 steps per
+second by less than a micrometre per step."""
 
 WEIGHTLESS = wp.constant(0.04)
 """Share of the smaller size by which bodies without acceleration are pushed apart in a step, at most."""
@@ -185,7 +186,7 @@ def push_pair(entry: OrderRecord, freeze: int, motions: Motions, contacts: Conta
         store_velocity(a, PUSH, pair.linear_a, pair.angular_a, motions)
     if pair.inverse_mass_b > 0.0:
         store_velocity(b, PUSH, pair.linear_b, pair.angular_b, motions)
-    return wp.where(pair.change > ENOUGH, 1, 0)
+    return wp.where(pair.change > ENOUGH * motions.velocity_unit[a], 1, 0)
 
 
 @wp.kernel

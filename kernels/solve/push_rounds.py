@@ -55,9 +55,9 @@ environment, or by ENOUGH if that is more. While bodies fall on each other, over
 
 
 @wp.func
-def tolerance(env: int, rounds: Rounds):
+def tolerance(entry: RoundRecord, rounds: Rounds):
     """Change of a pseudo-velocity with which rounds end [m/s]."""
-    return wp.max(ENOUGH, SHARE_OF_TARGET * rounds.largest_target[env])
+    return wp.max(entry.tolerance, SHARE_OF_TARGET * rounds.largest_target[entry.env])
 
 
 @wp.kernel
@@ -90,6 +90,7 @@ def find_overlaps_of_rounds(
             largest = wp.max(largest, target)
         if deep > 0:
             raise_to(entry.env, largest, rounds.largest_target)
+            entry.tolerance = ENOUGH * motions.velocity_unit[entry.body_a]
             list_round_pair(entry, deep, rounds, motions)
 
 
@@ -159,7 +160,7 @@ def push_round(
             if needs_round(entry, share.turn, rounds):
                 pair = velocities_of(entry, 0.0, (share.turn - 1) % 2, lane, lanes, slots, bodies)
                 if is_stirred(pair, share.turn):
-                    enough = tolerance(entry.env, rounds)
+                    enough = tolerance(entry, rounds)
                     change = push_pair_apart(entry, share.turn, lane, lanes, pair, enough, slots, bodies, contacts)
                     record_change(k, entry, share.turn, change, enough, rounds)
                 else:

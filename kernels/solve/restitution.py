@@ -45,8 +45,8 @@ wp.set_module_options({"enable_backward": False})
 INNER_ITERATIONS = wp.constant(8)
 """Maximum rounds over the contacts of one pair."""
 
-SLOWEST = wp.constant(1.0e-4)
-"""Approach speed below which a contact is not an impact [m/s]."""
+SLOWEST = wp.constant(2.5e-3)
+"""Approach speed below which a contact is not an impact [`Motions.velocity_unit`]."""
 
 NO_IMPACT = wp.constant(-1.0e10)
 """Target velocity of a contact without an impact in this step [m/s]."""
@@ -55,7 +55,7 @@ NO_IMPACT = wp.constant(-1.0e10)
 @wp.func
 def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
     """Target normal velocity of a contact approaching at `speed`, or NO_IMPACT. `pull`: approach acceleration."""
-    if speed < SLOWEST or row.bias_velocity > speed + dt * pull:
+    if row.bias_velocity > speed + dt * pull:
         return NO_IMPACT
     e = row.restitution
     if e == 0.0:
@@ -69,13 +69,17 @@ def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
 
 
 @wp.func
-def set_targets(begin: int, end: int, pair: BodyPair, relative_pull: wp.vec3, dt: float, contacts: Contacts):
+def set_targets(
+    begin: int, end: int, unit: float, pair: BodyPair, relative_pull: wp.vec3, dt: float, contacts: Contacts
+):
     """Set the target velocities of the pair's contacts. Returns 1 if there is an impact."""
     colliding = int(0)
     for c in range(begin, end):
         row = read_contact(c, contacts.rows)
         speed = -wp.dot(contact_velocity(row, pair), row.normal)
-        target = rebound(row, speed, wp.max(-wp.dot(relative_pull, row.normal), 0.0), dt)
+        target = float(NO_IMPACT)
+        if speed >= SLOWEST * unit:
+            target = rebound(row, speed, wp.max(-wp.dot(relative_pull, row.normal), 0.0), dt)
         set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
         if target > NO_IMPACT:
             colliding = 1
@@ -149,7 +153,14 @@ def note_impact(begin: int, end: int, keep: float, contacts: Contacts):
 
 @wp.func
 def after_impact(
-    begin: int, end: int, share_a: float, share_b: float, lag: wp.vec3, before: BodyPair, contacts: Contacts
+    begin: int,
+    end: int,
+    share_a: float,
+    share_b: float,
+    unit: float,
+    lag: wp.vec3,
+    before: BodyPair,
+    contacts: Contacts,
 ):
     """The bodies after the impacts of all contacts of a pair, whose targets are set; see `energy_neutral_share`."""
     after = before
@@ -158,7 +169,7 @@ def after_impact(
         after.change = 0.0
         for c in range(begin, end):
             after = collide_contact(c, share_a, share_b, after, contacts)
-        left = wp.where(after.change > CONVERGED, left - 1, 0)
+        left = wp.where(after.change > CONVERGED * unit, left - 1, 0)
     keep = energy_neutral_share(begin, end, before, after, lag, contacts)
     note_impact(begin, end, keep, contacts)
     after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
@@ -189,10 +200,11 @@ def solve_impact(
     b = entry.body_b
     before = load_bodies(a, b, 1.0, 1.0, motions)
     relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
-    if set_targets(entry.begin, entry.end, before, relative_pull, dt, contacts) == 0:
+    unit = motions.velocity_unit[a]
+    if set_targets(entry.begin, entry.end, unit, before, relative_pull, dt, contacts) == 0:
         return 0
     lag = 0.5 * dt * relative_pull
-    after = after_impact(entry.begin, entry.end, 1.0, 1.0, lag, before, contacts)
+    after = after_impact(entry.begin, entry.end, 1.0, 1.0, unit, lag, before, contacts)
     store_bodies(a, b, after, motions)
     order.entries[k].visited = turn - 1
     note_change(a, turn, motions, graph)

@@ -378,7 +378,8 @@ def list_pairs(
             dynamic = wp.where(bodies.motion[entry.body_a] == Motion.DYNAMIC, entry.body_a, entry.body_b)
             island = graph.island[dynamic]
             entry.limit = most_rounds(island, envs.contact_iterations[entry.env], graph)
-            entry.tolerance = tolerance_of(island, dt * wp.length(envs.gravity[entry.env]), graph)
+            unit = motions.velocity_unit[entry.body_a]
+            entry.tolerance = tolerance_of(island, dt * wp.length(envs.gravity[entry.env]), unit, graph)
             add_member(entry.body_a, k, motions, slots)
             add_member(entry.body_b, k, motions, slots)
             list_round_pair(entry, entry.end - entry.begin, rounds, motions)

@@ -14,8 +14,8 @@ from warp_rigid.kernels.schema import Graph, Motions, Order, OrderRecord
 
 wp.set_module_options({"enable_backward": False})
 
-CONVERGED = wp.constant(1.0e-6)
-"""Constraints count as solved when no row changes a velocity by more than this [m/s]."""
+CONVERGED = wp.constant(2.5e-5)
+"""Constraints count as solved when no row changes a velocity by more than this [`Motions.velocity_unit`]."""
 
 
 @wp.func

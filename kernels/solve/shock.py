@@ -140,13 +140,14 @@ def visit_frozen(
     if down == 1:
         pair = under_load(entry, pair, motions)
     changed = int(0)
+    tolerance = CONVERGED * motions.velocity_unit[entry.body_a]
     left = rounds_of(entry, graph)
     while left > 0:
         pair.change = 0.0
         for row in range(entry.begin, entry.end):
             pair = solve_row(row, share_a, share_b, pair, contacts)
-        left = wp.where(pair.change > CONVERGED, left - 1, 0)
-        changed |= wp.where(pair.change > CONVERGED, 1, 0)
+        left = wp.where(pair.change > tolerance, left - 1, 0)
+        changed |= wp.where(pair.change > tolerance, 1, 0)
     if down == 1:
         store_loaded_bodies(entry, pair, motions)
     else:
@@ -155,7 +156,7 @@ def visit_frozen(
         add_load(entry.body_a, pair, motions)
     if entry.upper_b == 0:
         add_load(entry.body_b, pair, motions)
-    order.entries[k].visited = wp.where(pair.change > CONVERGED, turn - 1, solved)
+    order.entries[k].visited = wp.where(pair.change > tolerance, turn - 1, solved)
     if changed == 1 and entry.upper_a + down > 0:
         note_change(entry.body_a, turn, motions, graph)
     if changed == 1 and entry.upper_b + down > 0:

@@ -216,7 +216,7 @@ def check_residual(env: int, dt: float, motions: Motions, graph: Graph, state: S
             if speed > most:
                 most = speed
                 fastest = b - first
-    large = wp.max(UNSOLVED * gained, STILL)
+    large = wp.max(UNSOLVED * gained, STILL * motions.velocity_unit[first])
     checks = wp.where(placed > 0 and envs.recent_residual[env] > large, envs.unsolved[env] + 1, 0)
     envs.unsolved[env] = checks
     if checks >= UNSOLVED_CHECKS:

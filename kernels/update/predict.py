@@ -27,6 +27,13 @@ LARGEST_COMPONENT = wp.constant(1.0e15)
 UNBOUNDED_EXTENT = wp.constant(1.0e9)
 """Half-extent from which a shape counts as unbounded [m]."""
 
+LARGEST_UNIT = wp.constant(0.04)
+"""Largest unit of the tolerances [m/s]: what gravity adds to a velocity in 1/240 s. Tolerances are not wider in longer
+steps, and where there is no gravity, they have this unit."""
+
+LEAST_UNIT = wp.constant(0.04 / 64.0)
+"""Least unit of the tolerances [m/s]. With a smaller one, sweeps would go on at the rounding errors of velocities."""
+
 
 @wp.func
 def smaller_size(a: int, b: int, shapes: Shapes, bodies: Bodies):
@@ -73,6 +80,17 @@ def body_is_finite(b: int, bodies: Bodies, state: State, acceleration: wp.vec3, 
     return moves and placed and pushed and wp.isfinite(dissipation + bodies.restitution[b])
 
 
+@wp.func
+def velocity_unit(gained: float):
+    """Unit of the tolerances of the solvers, where gravity adds `gained` to a velocity in a step [m/s].
+
+    Scenes that differ in scale alone are then solved alike.
+    """
+    if gained == 0.0:
+        return float(LARGEST_UNIT)
+    return wp.clamp(gained, LEAST_UNIT, LARGEST_UNIT)
+
+
 @wp.kernel
 def derive_motion(
     dt: float,
@@ -106,6 +124,7 @@ def derive_motion(
     motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
     spin_acceleration = inverse * state.torque[b]
     motions.spin_acceleration[b] = spin_acceleration
+    motions.velocity_unit[b] = velocity_unit(dt * wp.length(envs.gravity[env]))
     motions.is_finite[b] = wp.where(body_is_finite(b, bodies, state, motions.acceleration[b], spin_acceleration), 1, 0)
 
 
