@@ -40,11 +40,16 @@ OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigi
 SMALL_PICTURES = {"PICTURE_SIZE": (320, 180), "GIF_SIZE": (320, 180), "SHEET_SIZE": (160, 90), "SMALLEST_PANEL": 80}
 
 
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch):
+    """Panels of a quarter of their usual width."""
+    for name, size in SMALL_PICTURES.items():
+        monkeypatch.setattr(images, name, size)
+
+
 @pytest.mark.parametrize("command", OWN_COMMANDS)
 def test_command_runs(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, size in SMALL_PICTURES.items():
-        monkeypatch.setattr(images, name, size)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     write_scene_files(OTHERS, tmp_path)
     arguments = arguments_of(command)
