@@ -36,15 +36,6 @@ def _distance_to_triangles(point, triangles):
     return np.where(inside, np.abs(height), nearest).min(axis=1)
 
 
-def distance_to_polyline(points, corners):
-    """Unsigned distance of (n, 2) points to an open polyline of (m, 2) corners."""
-    start, side = corners[:-1], np.diff(corners, axis=0)
-    arm = points[:, None] - start[None]
-    along = np.einsum("nmi,mi->nm", arm, side) / np.einsum("mi,mi->m", side, side)
-    arm = arm - np.clip(along, 0.0, 1.0)[:, :, None] * side[None]
-    return np.linalg.norm(arm, axis=2).min(axis=1)
-
-
 def random_surface_points(vertices, faces, count, generator):
     """Uniformly distributed points of a triangle surface."""
     triangles = vertices[faces]
@@ -75,8 +66,7 @@ def random_rotation(generator):
 def numeric_gradient(distance, points, step):
     """Central differences of a distance function, (n, 3)."""
     return np.stack(
-        [(distance(points + step * axis) - distance(points - step * axis)) / (2.0 * step) for axis in np.eye(3)],
-        axis=1,
+        [(distance(points + step * axis) - distance(points - step * axis)) / (2.0 * step) for axis in np.eye(3)], axis=1
     )
 
 

@@ -20,10 +20,7 @@ GYMNASIUM = (
     "walker2d_v5.xml",
 )
 NEWTON = ("cartpole.urdf", "quadruped.urdf")
-FILES = {
-    **dict.fromkeys(GYMNASIUM, "gymnasium/envs/mujoco/assets"),
-    **dict.fromkeys(NEWTON, "newton/examples/assets"),
-}
+FILES = {**dict.fromkeys(GYMNASIUM, "gymnasium/envs/mujoco/assets"), **dict.fromkeys(NEWTON, "newton/examples/assets")}
 """Folders of the files in the packages."""
 
 

@@ -7,7 +7,6 @@ from pxr import Usd, UsdGeom
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Cylinder, Plane, Scene, Simulator, Sphere, export_usd
 from warp_rigid.render.appearance import (
-    body_colors,
     continuous_signs,
     corner_normals,
     drawn_surfaces,
@@ -18,7 +17,6 @@ from warp_rigid.render.appearance import (
 )
 from warp_rigid.render.film import film_from_usd
 from warp_rigid.runs.recording import record
-from warp_rigid.scene.scene import Motion
 
 
 def test_box_has_flat_faces():
@@ -54,12 +52,6 @@ def test_seams_in_the_triangles_do_not_show():
     np.testing.assert_allclose(corner_normals(split, apart), corner_normals(vertices, faces), atol=1e-6)
 
 
-def test_empty_and_degenerate_triangles():
-    assert corner_normals(np.zeros((0, 3)), np.zeros((0, 3), int)).shape == (0, 3, 3)
-    normals = corner_normals(np.zeros((3, 3)), np.array([[0, 1, 2]]))
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1.0)
-
-
 def test_signs_become_continuous_and_nothing_else_changes():
     rng = np.random.default_rng(0)
     angle = np.cumsum(rng.uniform(0, 1.5, size=(100, 4)), axis=0)
@@ -69,12 +61,6 @@ def test_signs_become_continuous_and_nothing_else_changes():
     assert (np.sum(mended[1:] * mended[:-1], axis=-1) > 0).all()
     np.testing.assert_allclose(np.abs(np.sum(mended * broken, axis=-1)), 1.0)
     np.testing.assert_array_equal(mended[0], broken[0])
-
-
-def test_kinds_of_motion_differ_in_colour():
-    colors = body_colors([Motion.STATIC, Motion.DYNAMIC, Motion.KINEMATIC, Motion.DYNAMIC])
-    assert len(np.unique(colors, axis=0)) == 4
-    assert colors.min() >= 0.0 and colors.max() <= 1.0
 
 
 def lightness(colors):
@@ -103,14 +89,6 @@ def test_environments_keep_their_distance(count):
     assert ((difference[..., 0] > 1.999) | (difference[..., 1] > 2.999)).all()
     if count in (1, 5, 16, 100):
         np.testing.assert_allclose(offsets.mean(axis=0), 0.0, atol=1e-12)
-
-
-def test_environments_do_not_touch():
-    scene = Scene()
-    scene.add_static(Box((2.0, 0.5, 0.1)))
-    scene.add_body(Sphere(0.25), position=(0.0, 1.5, 1.0))
-    spacing = spread_of(record(FakeSimulator(scene, 2), frames=3)).spacing()
-    assert spacing[0] > 4.0 and spacing[1] > 2.25
 
 
 def test_only_a_tilted_plane_shrinks():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from warp_rigid.scenes.builders import meshes
 from warp_rigid.scenes.builders.assortment import CONVEX_KINDS, convex_solid, convex_solids
 
 
@@ -39,24 +38,3 @@ def test_the_seed_decides():
 def test_bad_numbers_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         convex_solids(*arguments)
-
-
-def test_an_unknown_kind_is_refused():
-    with pytest.raises(ValueError, match="^kind: must be one of cube, sphere, .* got 'cone'$"):
-        convex_solid("cone", 0.1)
-
-
-@pytest.mark.parametrize(
-    ("bone", "size", "genus"), [(meshes.cranium, 0.2, 0), (meshes.pelvis, 0.25, 1), (meshes.femur, 0.44, 0)]
-)
-def test_bones_are_closed_and_nonconvex(bone, size, genus):
-    """Euler's number tells the pelvis's hole; the hull holds much more than the bone."""
-    shape = bone(size)
-    assert shape.watertight and not shape.repairs
-    assert np.ptp(shape.vertices, axis=0).max() == pytest.approx(size)
-    edges = {tuple(sorted((face[k], face[(k + 1) % 3]))) for face in shape.faces.tolist() for k in range(3)}
-    assert len(shape.vertices) - len(edges) + len(shape.faces) == 2 - 2 * genus
-    from scipy.spatial import ConvexHull
-
-    assert shape.volume < 0.9 * ConvexHull(shape.vertices).volume
-    np.testing.assert_allclose(shape.center_of_mass, 0.0, atol=1e-9)

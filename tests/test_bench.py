@@ -10,12 +10,10 @@ import pytest
 import warp as wp
 from PIL import Image
 
-from tests.oracles import opened
 from warp_rigid import Settings, Simulator
 from warp_rigid.bench import measure, notes, peers, phases
 from warp_rigid.bench.cases import STANDARD, BenchmarkCase, find_case, moving
 from warp_rigid.commands import cli
-from warp_rigid.engine.stage_times import STAGES, walk
 from warp_rigid.rotations import rotate
 from warp_rigid.scenes.builders import arms, stacks
 
@@ -190,19 +188,6 @@ def test_a_ring_that_moves_is_not_at_rest(capsys):
     assert told["rows"][2]["quality"]["max_speed"] > phases.RESTING
 
 
-def test_table_of_phases_fits(capsys):
-    arguments = ["pile_box:2", "stack:2", "--envs", "2", "--substeps", "1", "--phases", "--until", "2"]
-    assert cli.main(["bench", *arguments, "--device", "cpu"]) == 0
-    out = capsys.readouterr().out
-    assert "…" not in out and max(map(len, out.splitlines())) <= 120
-    assert [line.split()[3:5] for line in out.splitlines()[1:4]] == [
-        ["first", "second"],
-        ["second", "second"],
-        ["at", "rest"],
-    ]
-    assert "stack:2 × 2, 1 steps: at rest 0.1 s after the start, simulated in" in out
-
-
 def test_bodies_sleep_if_they_may(device):
     case = BenchmarkCase("stack", 2)
     for sleeping in (False, True):
@@ -276,19 +261,6 @@ def test_a_run_that_is_broken_off_keeps_its_lines(capsys, tmp_path, monkeypatch)
     status, _, error = bench(capsys, "stack:1", "--envs", "1,2", "--frames", 1, "--settle", 0, "--json-lines", lines)
     assert status != 0 and "lost" in error
     assert [json.loads(line)["envs"] for line in lines.read_text().splitlines()] == [1]
-
-
-def test_stages_are_walked_through_in_the_order_of_the_step(device):
-    """Every mark names the stage that goes on from there; a stage within another one counts for itself."""
-    _, stages = opened(BenchmarkCase("stack", 2).build(), device)
-    marks = []
-    walk(stages, marks.append)
-    within = marks.index("propagate_shock")
-    assert marks[within - 1] == marks[within + 1] == "solve_contacts"
-    named = [name for name in marks if name is not None]
-    assert named[0] == "move_ground" and named[-1] == "store_history" and marks[-1] is None
-    assert named.count("integrate_velocities") == 2 and len(marks) <= 6 * len(STAGES) + 2 * stages.repetitions
-    assert not set(STAGES) & set(vars(stages))
 
 
 def test_other_engines_get_the_same_start_and_the_same_judge(capsys, fake_peer):
@@ -467,12 +439,6 @@ def test_notes_say_what_larger_batches_have_more_of():
     (line,) = (line for line in notes.notes([*ours, *others]) if "mujoco" in line)
     assert "20 µs to 265 µs" in line and "ratio 0.2 to 2.6" in line and "20 µs to 1 ms by its start" in line
     assert "contacts of an environment: 8 to 20" in line and "1 to 4 pairs" in line and "0.5 m/s" in line
-
-
-def test_notes_tell_of_other_programs():
-    rows = [row_of("warp_rigid", 1, 1.0, processor_seconds=0.25)]
-    assert "0.25 of a core" in notes.notes(rows)[-1]
-    assert notes.notes([row_of("warp_rigid", 1, 1.0, device="cuda:0", processor_seconds=0.1)]) == []
 
 
 def test_each_environment_of_another_engine_is_timed(monkeypatch):

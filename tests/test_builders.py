@@ -8,22 +8,13 @@ import pytest
 from tests.scene_oracles import body_separation
 from warp_rigid.rotations import rotate
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.scenes.builders import grounds, piles, stacks
+from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 
 
 def separations(scene, bodies):
     """Gap of each pair of bodies [m]."""
     return [body_separation(scene.bodies[a], scene.bodies[b]) for k, a in enumerate(bodies) for b in bodies[k + 1 :]]
-
-
-def test_bodies_are_returned_by_index_and_named_by_number():
-    scene = grounds.level_scene(name="ground")
-    rows = add_bodies(scene, [Sphere(0.1), Sphere(0.2)], [(0, 0, 1), (0, 0, 2)], masses=[1.0, 2.0], names="ball")
-    assert rows == [1, 2]
-    assert [(scene.bodies[i].name, scene.bodies[i].mass) for i in rows] == [("ball_0", 1.0), ("ball_1", 2.0)]
-    with pytest.raises(ValueError):
-        add_bodies(scene, Sphere(0.1), [(0, 0, 1), (0, 0, 2)], masses=[1.0])
 
 
 @pytest.mark.parametrize("shape", [Box((0.2, 0.1, 0.05)), Sphere(0.3)])
@@ -34,13 +25,6 @@ def test_a_stack_stands_on_its_support_with_equal_gaps(shape):
     half = 0.05 if isinstance(shape, Box) else 0.3
     np.testing.assert_allclose(position[:, 2] - half, [0.51 + k * (2 * half + 0.01) for k in range(4)])
     np.testing.assert_allclose(position[:, 0], [0.003, 0.017, 0.043, 0.057])
-
-
-def test_a_twisted_stack_turns_by_the_angle():
-    scene = grounds.level_scene()
-    stacks.add_stack(scene, 3, twist=0.3)
-    angles = [2.0 * np.arctan2(body.orientation[2], body.orientation[3]) for body in scene.bodies[1:]]
-    np.testing.assert_allclose(angles, [0.0, 0.3, 0.6])
 
 
 @pytest.mark.parametrize("count", [2, 5, 10])
@@ -96,23 +80,3 @@ def test_balls_of_a_pyramid_touch_four_below():
     below = (np.abs(distance - 0.2) < 1e-12) & (place[None, :, 2] < place[:, None, 2] - 1e-9)
     assert len(rows) == 14 and distance[np.triu_indices(14, 1)].min() > 0.2 - 1e-12
     assert below.sum(axis=1).tolist() == [0] * 9 + [4] * 5
-
-
-def test_walls_of_a_bin_enclose_its_inner_square():
-    scene = grounds.level_scene()
-    rows = grounds.add_bin(scene, 0.4, 1.0, 0.1)
-    points = np.random.default_rng(0).uniform(-0.6, 0.6, (500, 3)) + [0, 0, 0.5]
-    inside = np.abs(points[:, :2]).max(axis=1) < 0.4
-    covered = np.abs(points[:, :2]).max(axis=1) < 0.5
-    height = (points[:, 2] > 0.0) & (points[:, 2] < 1.0)
-    within = np.zeros(500, bool)
-    for i in rows:
-        distance, _ = scene.bodies[i].shape.signed_distance(points - scene.bodies[i].position)
-        within |= distance < 0.0
-    np.testing.assert_array_equal(within, covered & ~inside & height)
-
-
-def test_a_lattice_is_centred_and_fills_layer_by_layer():
-    points = piles.lattice(5, 2, 0.4, 0.3, rise=0.1)
-    square = [(-0.2, -0.2), (0.2, -0.2), (-0.2, 0.2), (0.2, 0.2)]
-    np.testing.assert_allclose(points, [*((x, y, 0.3) for x, y in square), (-0.2, -0.2, 0.4)])

@@ -61,17 +61,15 @@ def test_a_damaged_kernel_is_compiled_again(kernels, suffix, damage):
     assert run(cache) == (expected, [])
 
 
-@pytest.mark.parametrize("damage", ["cut", "bit"])
-def test_a_damaged_kernel_without_a_checksum_is_compiled_again(kernels, damage):
-    """As left by an older version; a changed bit is not noticed there, a file that does not load is."""
+def test_a_damaged_kernel_without_a_checksum_is_compiled_again(kernels):
+    """As left by an older version."""
     cache, expected = kernels
     (file,) = (file for file in cache.rglob("*.o") if "capacity" in file.name)
     for checksum in cache.rglob("*.sha256"):
         checksum.unlink()
-    if damage == "cut":
-        file.write_bytes(file.read_bytes()[:50])
+    file.write_bytes(file.read_bytes()[:50])
     printed, told = run(cache)
-    assert printed == expected and len(told) == (damage == "cut")
+    assert printed == expected and len(told) == 1
 
 
 def test_a_changed_byte_of_a_distance_grid_is_harmless(empty_cache, bakes, caplog):  # noqa: F811

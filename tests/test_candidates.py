@@ -68,16 +68,6 @@ def test_candidates_are_the_overlapping_fat_boxes(device, monkeypatch, offset):
     assert set(found) == expected
 
 
-def test_lists_are_in_the_order_of_pairs(device):
-    scene, _ = heap(300)
-    _, stages = opened(scene, device)
-    computed_again(stages)
-    rank = stages.grid.cells.rank.numpy()
-    lists = candidate_lists(stages)
-    assert max(len(some) for some in lists) > 10
-    assert all(np.diff(rank[[i, *some]]).min(initial=1) > 0 for i, some in enumerate(lists))
-
-
 def test_candidates_are_kept_until_a_body_leaves_its_fat_box(device):
     """Each environment by itself; what is found is what brute force finds, whether kept or computed again."""
     scene, _ = heap(300, ground=False)

@@ -7,7 +7,6 @@ import pytest
 
 import warp_rigid as wr
 from tests.oracles import ground_scene
-from warp_rigid.engine.demand import Demand
 from warp_rigid.engine.memory import MemoryLimit
 from warp_rigid.engine.pools import CHUNK, POOLS
 
@@ -70,47 +69,3 @@ def test_memory_too_small_to_grow_ahead_is_no_error(device):
     before = dict(shard.pools.sizes)
     sim.step(1)
     assert shard.pools.sizes == before
-
-
-def rows(*wanted):
-    """Requirements of steps for pairs; the other pools need nothing."""
-    found = np.zeros((len(wanted), len(POOLS)), np.int64)
-    found[:, 0] = wanted
-    return found
-
-
-def sizes(pairs, others=10):
-    return {**dict.fromkeys(POOLS, others), "pairs": pairs}
-
-
-def test_a_steady_need_never_grows():
-    demand = Demand()
-    for _ in range(5):
-        demand.note(rows(*[100] * CHUNK))
-        assert demand.missing(sizes(pairs=100)) == {}
-
-
-def test_a_steady_rise_is_seen_before_it_arrives():
-    """Ten more in each check: those of the next check still fit when the pool grows, whatever its size."""
-    for capacity in range(100, 200, 7):
-        demand, top = Demand(), 0
-        for check in range(40):
-            missing = demand.missing(sizes(capacity))
-            if missing:
-                assert top <= capacity < missing["pairs"]
-                break
-            top = 10 * check + 10
-            assert top <= capacity
-            demand.note(rows(*np.linspace(top - 10, top, CHUNK, dtype=int)))
-        else:
-            raise AssertionError("the pool never grew")
-
-
-def test_pools_that_will_be_short_soon_grow_together():
-    """One recording of the step serves both; a pool whose need does not rise stays."""
-    demand = Demand()
-    before, after = np.full((CHUNK, 4), (80, 70, 50, 0)), np.full((CHUNK, 4), (95, 80, 50, 0))
-    demand.note(before)
-    demand.note(after)
-    assert set(demand.missing(dict.fromkeys(POOLS, 100))) == {"pairs", "contacts"}
-    assert demand.missing(dict.fromkeys(POOLS, 120)) == {}

@@ -16,7 +16,6 @@ import warp_rigid
 from warp_rigid import progress_bar, scenes
 from warp_rigid.commands import cli
 from warp_rigid.commands import run as run_module
-from warp_rigid.commands.terminal import explain
 from warp_rigid.runs import runner
 from warp_rigid.scenes import incline
 
@@ -110,31 +109,6 @@ def test_compare_prints_variants_and_expectations(capsys):
     assert all(name in out for name in scenes.get("incline").variants)
 
 
-def test_verdicts_name_what_is_not_as_expected(capsys):
-    summary = {
-        "scene": "s", "envs": 3, "bodies": 1, "frames": 1, "time": 1.0, "device": "cpu",
-        "contacts": 0, "levels": 0, "penetration": [0.0], "deepest_penetration": [0.001],
-        "env_frames_per_second": 1.0, "setup_seconds": 0.0, "failed": [], "out_of_bounds": [], "warnings": [],
-        "files": [], "variants": {},
-        "labels": ["default", "off", "on"],
-        "verdicts": [
-            {
-                "name": "drift", "limit": "drift < 1 mm", "unit": "mm", "values": [0.5e-3, 2e-3, 3e-3],
-                "passed": [True, False, False], "expected": [True, False, True],
-            }
-        ],
-    }  # fmt: skip
-    run_module._print_summary(summary)
-    out = capsys.readouterr().out
-    # In the unit of the condition.
-    assert "0.5 mm yes" in out and "2 mm no, as expected" in out and "3 mm no, NOT AS EXPECTED" in out
-    assert "2 of 3 verdicts as expected" in out
-    summary["envs"] = 100
-    run_module._print_summary(summary)
-    out = capsys.readouterr().out
-    assert "1 of 3" in out and "0.5 mm" in out and "3 mm" in out
-
-
 @pytest.mark.parametrize("expected, status", [(True, 0), (False, 6)])
 def test_an_unexpected_verdict_has_its_own_status(capsys, monkeypatch, expected, status):
     """The block of the incline starts at rest: it has not slid, whatever the scene expects."""
@@ -145,15 +119,8 @@ def test_an_unexpected_verdict_has_its_own_status(capsys, monkeypatch, expected,
 
     demo = replace(scenes.get("incline"), outcome=Slides, duration=1 / 60)
     monkeypatch.setattr("warp_rigid.runs.runner.find_scene", lambda name: demo)
-    assert run(capsys, "run", "incline")[0] == status
-
-
-def test_lists_run_side_by_side(capsys, scene_file):
-    arguments = ("--frames", 30, "--set", "speed=1", "--set", "friction=0.0,0.9", "--json")
-    status, out, _ = run(capsys, "run", scene_file, *arguments)
-    summary = json.loads(out)
-    assert status == 0 and summary["labels"] == ["friction=0.0", "friction=0.9"]
-    assert summary["set"] == {"speed": 1, "friction": [0.0, 0.9]}
+    found, out, _ = run(capsys, "run", "incline")
+    assert found == status and ("NOT AS EXPECTED" in out) == (status == 6)
 
 
 @pytest.mark.parametrize(
@@ -325,14 +292,6 @@ def test_capacity_is_status_3(capsys):
     assert "first 2: capacity since step 7" in capsys.readouterr().err
 
 
-def test_interruption_is_status_130(capsys, scene_file, monkeypatch):
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(runner, "execute", interrupt)
-    assert run(capsys, "run", scene_file)[0] == 130
-
-
 def test_missing_library_is_named_with_its_remedy(capsys, scene_file, monkeypatch):
     monkeypatch.setitem(sys.modules, "PIL", None)
     status, _, err = run(capsys, "run", scene_file, "--picture", "a.png")
@@ -400,9 +359,3 @@ def test_ready_made_meshes_have_names(capsys):
     status, out, _ = run(capsys, "inspect", "tetrahedron", "--sdf-resolution", 16)
     assert status == 0 and "4 vertices, 4 triangles, watertight" in out
     assert "from the triangles, so walls may be thinner than a cell" in " ".join(out.split())
-
-
-@pytest.mark.parametrize(("module", "extra"), [("viser", "viewer"), ("imageio_ffmpeg", "picture"), ("PIL", "picture")])
-def test_a_missing_library_is_named_with_its_extra(module, extra):
-    message = explain(ModuleNotFoundError(f"No module named {module!r}", name=module))
-    assert message == f"{module} is not installed; install it with: pip install 'warp-rigid[{extra}]'"

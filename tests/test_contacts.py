@@ -131,12 +131,7 @@ def test_gaps_that_have_just_closed_need_not_close_by_their_rounding_error(devic
         np.testing.assert_allclose(contact_list(stages)["bias_velocity"], closing, atol=0.02 * TOUCHING * 0.2 * 240)
 
 
-COMBINE = {
-    "min": min,
-    "average": lambda x, y: 0.5 * (x + y),
-    "multiply": lambda x, y: x * y,
-    "max": max,
-}
+COMBINE = {"min": min, "average": lambda x, y: 0.5 * (x + y), "multiply": lambda x, y: x * y, "max": max}
 
 
 @pytest.mark.parametrize("friction_rule", COMBINE_RULES)

@@ -88,7 +88,7 @@ def test_the_overlap_of_two_balls_is_the_way_they_must_move(device):
 
 @pytest.mark.parametrize(
     ("first", "second"),
-    [("ball", "ball"), ("ball", "bunny")]
+    [("ball", "ball"), pytest.param("ball", "bunny", marks=pytest.mark.long)]
     + [pytest.param(name, name, marks=pytest.mark.long) for name in ("torus", "cranium", "bunny")]
     + [("cube", "corner"), ("rod", "corner"), ("corner", "channel")]
     + [(name, "boxes") for name in ("sphere", "box", "rod", "capsule", "boxes")],

@@ -52,7 +52,7 @@ def test_ends_depend_on_nothing_but_the_start(device, tmp_path, settings):
     alone = [run(device, [start], settings)[0] for start in range(STARTS)]
     assert len(set(alone)) == STARTS, "the starts must differ for this to tell anything"
     assert run(device, [0], settings) == [alone[0]]
-    for size in (7, 24) if device == "cpu" else (7, 24, 4096):
+    for size in (24,) if device == "cpu" else (24, 4096):
         starts = np.random.default_rng(size).integers(0, STARTS, size).tolist()
         ends = run(device, starts, settings)
         assert [end == alone[start] for start, end in zip(starts, ends, strict=True)] == [True] * size
@@ -125,7 +125,7 @@ def test_bodies_that_meet_through_the_grid_end_the_same_at_any_place(device):
     batch = hail([1, 0, 0, 1], capacity={"pairs": 1, "contacts": 1})
     break_state(batch, [2])
     for sim in (*alone, batch):
-        sim.step(16)
+        sim.step(8)
     assert batch.status()["status"].tolist() == ["ok", "ok", "non-finite", "ok"]
     assert [end_bits(batch, place) for place in (0, 1, 3)] == [end_bits(alone[env], 0) for env in (1, 0, 1)]
     assert end_bits(batch, 0) != end_bits(batch, 1)

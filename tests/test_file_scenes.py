@@ -197,10 +197,7 @@ def test_view_and_bench_take_the_file(path, capsys):
         ("VARIANTS = {'a': {'dt': 1}}", "VARIANTS a must have names of settings, got 'dt'"),
         ("VARIANTS = {'a': {'sleeping': 2}}", "VARIANTS a: sleeping: must be True or False, got 2"),
         ("DURATION = 0", "DURATION: must be a finite number > 0, got 0"),
-        (
-            "def events(sim):\n    pass",
-            "events(sim, frame) or events(sim, frame, parameters), got events(sim)",
-        ),
+        ("def events(sim):\n    pass", "events(sim, frame) or events(sim, frame, parameters), got events(sim)"),
         (
             "def events(frame, sim):\n    pass",
             "events(sim, frame) or events(sim, frame, parameters), got events(frame, sim)",

@@ -8,7 +8,6 @@ import trimesh
 from PIL import Image
 
 import warp_rigid as wr
-from warp_rigid import scenes
 from warp_rigid.commands import cli
 from warp_rigid.engine.hints import hints_on
 from warp_rigid.engine.quantities import owner_of, writable
@@ -142,15 +141,6 @@ def test_meshes_of_trimesh_without_units():
     assert len(hinted(lambda: wr.Mesh.from_trimesh(part, sdf_resolution=8))) == 1
     part.units = "m"
     assert hinted(lambda: wr.Mesh.from_trimesh(part, sdf_resolution=8)) == []
-
-
-@pytest.mark.parametrize("name", scenes.names())
-def test_no_built_in_scene_is_doubted(name):
-    demo = scenes.get(name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        scene = demo.build()
-    assert hints_on([scene], 1 / 60) == []
 
 
 def every_quantity():

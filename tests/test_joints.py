@@ -225,18 +225,6 @@ def bits(sim, env=0):
     return b"".join(sim.get(name)[env].tobytes() for name in names)
 
 
-def test_a_batch_and_a_reset_give_the_same_bits(device):
-    alone = simulator(tumbling(), device)
-    alone.step(50)
-    many = simulator(tumbling(), device, num_envs=24)
-    many.set("angular_velocity", (0, 0, 0), envs=[5])
-    many.step(50)
-    assert [env for env in range(24) if bits(many, env) != bits(alone)] == [5]
-    many.reset([5])
-    many.step(50)
-    assert bits(many, 5) == bits(alone)
-
-
 def test_a_weld_breaks_at_its_limit(device):
     """A box hangs from a weld; its weight grows slowly until the weld breaks, and it falls freely then."""
     scene = wr.Scene(gravity=(0, 0, 0))

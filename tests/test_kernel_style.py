@@ -26,11 +26,6 @@ def device_functions(tree: ast.AST, *decorators: str) -> list[ast.FunctionDef]:
     ]
 
 
-def test_a_class_name_is_defined_once():
-    named = [node.name for tree in TREES.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
-    assert sorted(named) == sorted(set(named))
-
-
 def test_no_file_is_long():
     assert {name: text.count("\n") for name, text in FILES.items() if text.count("\n") > MAX_FILE_LINES} == {}
 

@@ -5,16 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.oracles import (
-    GROUND,
-    find_contacts,
-    ground_scene,
-    moving,
-    opened,
-    pair_list,
-    random_pile,
-    stages_of,
-)
+from tests.oracles import GROUND, find_contacts, ground_scene, moving, opened, pair_list, random_pile, stages_of
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels import declare, schema
@@ -44,12 +35,7 @@ class HandMadeGraph:
             for e, pairs in enumerate(envs)
             for a, b, supports, touches in sorted(pairs)
         ]
-        sizes = {
-            "envs": self.count,
-            "bodies": self.count * self.per_env,
-            "filtered": 0,
-            "pairs": max(1, len(rows)),
-        }
+        sizes = {"envs": self.count, "bodies": self.count * self.per_env, "filtered": 0, "pairs": max(1, len(rows))}
         self.bodies = declare.allocate(schema.Bodies, sizes, device)
         self.envs = declare.allocate(schema.Environments, sizes, device)
         self.constraints = declare.allocate(schema.Constraints, sizes, device)
@@ -159,13 +145,7 @@ def random_pairs(generator, motions, density, upward):
 @pytest.mark.parametrize("density", [0.02, 0.05, 0.15])
 def test_levels_and_islands_of_random_graphs(device, density, upward):
     generator = np.random.default_rng(int(1000 * density) + upward)
-    motions = [
-        Motion.STATIC,
-        Motion.KINEMATIC,
-        *[Motion.DYNAMIC] * 46,
-        Motion.STATIC,
-        *[Motion.DYNAMIC] * 11,
-    ]
+    motions = [Motion.STATIC, Motion.KINEMATIC, *[Motion.DYNAMIC] * 46, Motion.STATIC, *[Motion.DYNAMIC] * 11]
     envs = [random_pairs(generator, motions, density, upward) for _ in range(8)]
     made = HandMadeGraph(motions, envs, device)
     level, island = made.solve()

@@ -364,12 +364,7 @@ def test_approach_within_the_step_is_a_contact(device):
         ((2.1 * gap / dt, 0, 0), 1),
     ):
         found = touch(
-            device,
-            GROUND,
-            Sphere(0.1),
-            position=(0, 0, 0.1 + gap),
-            linear_velocity=velocity,
-            settings=Settings(dt=dt),
+            device, GROUND, Sphere(0.1), position=(0, 0, 0.1 + gap), linear_velocity=velocity, settings=Settings(dt=dt)
         )
         assert len(found["gap"]) == wanted
         np.testing.assert_allclose(found["gap"], [gap] * wanted, atol=1e-6)

@@ -5,7 +5,6 @@ import numpy as np
 import warp_rigid as wr
 from tests.oracles import random_quaternion, stages_of
 from warp_rigid.engine import pools
-from warp_rigid.kernels.schema import PAIR_SLOTS
 from warp_rigid.scenes.builders import meshes
 
 
@@ -38,33 +37,6 @@ def test_the_list_grows_beyond_its_first_capacity(device, monkeypatch):
         assert sum(shard.pools.sizes["near_samples"] for shard in sim._world.shards) > 100
         assert sim.get("position").tobytes() == roomy.get("position").tobytes()
         assert sim.get("angular_velocity").tobytes() == roomy.get("angular_velocity").tobytes()
-
-
-def keys_of(near, pair):
-    """The samples of a pair, in the order of its batches, and the sizes of the batches."""
-    begin, keys, sizes = int(near.first.numpy()[pair]), [], []
-    while begin >= 0:
-        end = int(near.end.numpy()[begin])
-        keys += near.key.numpy()[begin:end].tolist()
-        sizes.append(end - begin)
-        begin = int(near.next.numpy()[begin])
-    return keys, sizes
-
-
-def test_batches_are_in_the_order_of_the_samples(device):
-    """A torus that lies in another one has more near samples than a batch holds."""
-    scene = wr.Scene(gravity=(0.0, 0.0, 0.0))
-    scene.add_body(meshes.torus(0.2, 0.05))
-    scene.add_body(meshes.torus(0.2, 0.05), position=(0.0, 0.0, 0.099))
-    sim = wr.Simulator(scene, device=device)
-    sim.step()
-    (shard,) = sim._world.shards
-    near = shard.pools.near
-    keys, sizes = keys_of(near, 0)
-    assert len(keys) == int(near.count.numpy()[0])
-    assert keys == sorted(keys, key=lambda key: (key % 2, key // 2))
-    assert max(sizes) <= PAIR_SLOTS
-    assert len(sizes) > 2
 
 
 def test_the_list_of_traced_samples_grows(device, monkeypatch):

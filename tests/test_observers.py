@@ -6,7 +6,6 @@ import zarr
 
 import warp_rigid as wr
 from warp_rigid.commands import cli
-from warp_rigid.commands.sweep import split_names
 from warp_rigid.sweep import read, read_series
 from warp_rigid.sweep.table import ResultFile
 
@@ -154,11 +153,6 @@ def test_a_metric_and_an_observer_of_the_same_quantity_share_a_column():
         {"height": [0.1]}, metrics=["kinetic_energy"], observe=["kinetic_energy", "energy"], duration=0.1
     ).rows
     assert 0.0 < row["kinetic_energy"] < row["energy"]
-
-
-def test_names_are_split_outside_brackets():
-    assert split_names("energy,peak_impulse[a,b],my.py") == ["energy", "peak_impulse[a,b]", "my.py"]
-    assert split_names("peak_impulse[a,b") == ["peak_impulse[a,b"]
 
 
 def test_series_on_disk_survive_an_interruption(tmp_path, monkeypatch):

@@ -50,13 +50,6 @@ def test_every_folder_with_source_is_in_the_wheel(pyproject):
     assert with_source == shipped
 
 
-@pytest.mark.parametrize("name", ["kernels", "scenes"])
-def test_links_make_the_checkout_importable(name):
-    link = ROOT / "warp_rigid" / name
-    assert os.readlink(link) == f"../{name}"
-    assert (link / "__init__.py").samefile(ROOT / name / "__init__.py")
-
-
 def test_the_bill_of_materials_is_that_of_the_lock():
     made = json.loads((ROOT / "sbom.json").read_text())
     assert made == json.loads(make_sbom.bill_of_materials())
@@ -67,12 +60,6 @@ def test_the_notice_names_every_dependency(pyproject):
     notice = (ROOT / "NOTICE").read_text()
     for requirement in pyproject["project"]["dependencies"]:
         assert f"- {requirement.split('>')[0]} (" in notice
-
-
-def test_version_is_told_once(pyproject):
-    import warp_rigid
-
-    assert warp_rigid.__version__ == pyproject["project"]["version"]
 
 
 IMPORT = """
@@ -95,7 +82,7 @@ def test_import_is_quick_and_light(tmp_path):
         subprocess.run(
             [sys.executable, "-c", IMPORT], cwd=ROOT, check=True, capture_output=True, text=True, env=environment
         ).stdout.split()
-        for _ in range(4)
+        for _ in range(3)
     ]
     loaded = {module.split(".")[0] for module in runs[0][1:]}
     assert loaded.isdisjoint(HEAVY)

@@ -106,23 +106,6 @@ def test_a_body_on_a_lift_at_rest_sleeps_and_wakes(device):
     assert sim.get("asleep")[0, 2] and not sim.get("linear_velocity")[0, 1].any()
 
 
-def test_environments_are_reset_and_restarted_on_the_path(device, tmp_path):
-    """Each by its own time, with the same bits as from the start, and from a saved file."""
-    sim = wr.Simulator(lift_scene(), num_envs=3, device=device)
-    sim.step(100)
-    sim.reset(envs=[1])
-    sim.step(200)
-    alone = wr.Simulator(lift_scene(), device=device)
-    alone.step(200)
-    assert sim.get("position")[1].tobytes() == alone.get("position")[0].tobytes()
-    sim.save(tmp_path / "lift.ckpt")
-    loaded = wr.Simulator.load(tmp_path / "lift.ckpt", device)
-    assert loaded.scene.bodies[1].path == UP
-    for one in (sim, loaded):
-        one.step(60)
-    assert loaded.get("position").tobytes() == sim.get("position").tobytes()
-
-
 def test_scenes_with_different_paths_are_simulated_together(device):
     """Those without a path, too."""
     other = wr.PosePath(UP.times, UP.positions * [1, 1, 0.5])

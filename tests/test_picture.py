@@ -100,15 +100,6 @@ def test_shadow_lies_where_the_light_is_hidden():
     assert shadow.max() < bright.min() - 0.02
 
 
-def test_side_toward_the_light_is_brighter(ball_picture):
-    camera, picture = ball_picture
-    rows, columns = np.nonzero(is_colourful(picture))
-    brightness = picture[rows, columns].mean(axis=-1)
-    upper = rows < np.percentile(rows, 25)
-    lower = rows > np.percentile(rows, 75)
-    assert brightness[upper].mean() > 1.3 * brightness[lower].mean()
-
-
 def test_ground_reaches_the_horizon():
     """Below a body that is 50 m from the origin there is ground, up to the horizon."""
     scene = Scene()
@@ -309,13 +300,6 @@ def test_picture_from_the_file_is_the_picture_from_memory(two_envs, tmp_path, pr
     assert (np.abs(a - b).max(axis=-1) > 3).mean() < 1e-3
 
 
-def test_one_environment_alone_is_that_environment(two_envs):
-    both = film_from_recording(two_envs)
-    alone = both.alone(1)
-    np.testing.assert_allclose(alone.position, two_envs.position[:, 1], atol=1e-6)
-    assert (alone.orientation == two_envs.orientation[:, 1]).all()
-
-
 def test_contact_sheet_and_gif(two_envs, tmp_path):
     film = film_from_recording(two_envs)
     save_contact_sheet(film, tmp_path / "deep" / "sheet.png", count=3)
@@ -366,13 +350,6 @@ def test_many_environments_are_drawn_in_one_view(tmp_path):
     scene.add_body(Sphere(0.2))
     save_picture(film_of(scene, 1, num_envs=10), tmp_path / "many.png", 0, 80, 60)
     assert Image.open(tmp_path / "many.png").size == (80, 60)
-
-
-def test_nothing_moves(tmp_path):
-    scene = Scene()
-    scene.add_static(Plane())
-    save_picture(film_of(scene, 0), tmp_path / "still.png", 0, 80, 60)
-    assert Image.open(tmp_path / "still.png").size == (80, 60)
 
 
 def test_bad_arguments_are_named(two_envs, tmp_path):

@@ -17,6 +17,7 @@ from warp_rigid.commands import cli
 from warp_rigid.engine import hash_grid, heaps, step
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels.joints import joint_stages
+from warp_rigid.render import images
 from warp_rigid.scene import fields
 from warp_rigid.validation import suite
 
@@ -32,12 +33,18 @@ OTHERS = [page for page in PAGES if page.parent.name != "sweeps" and page.name !
 """Not those that tests/test_sweep_docs.py and tests/test_bench.py run."""
 
 COMMANDS = commands(OTHERS)
+TESTED = ("warp-rigid doctor", "warp-rigid warmup")
+"""By tests/test_doctor.py."""
 PROGRAMS = blocks("python", OTHERS)
-OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigid ")]
+OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigid ") and command not in TESTED]
+SMALL_PICTURES = {"PICTURE_SIZE": (320, 180), "GIF_SIZE": (320, 180), "SHEET_SIZE": (160, 90), "SMALLEST_PANEL": 80}
 
 
-def test_there_is_something_to_test():
-    assert len(OWN_COMMANDS) >= 10 and len(PROGRAMS) >= 1
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch):
+    """Panels of a quarter of their usual width."""
+    for name, size in SMALL_PICTURES.items():
+        monkeypatch.setattr(images, name, size)
 
 
 @pytest.mark.parametrize("command", OWN_COMMANDS)

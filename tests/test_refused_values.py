@@ -98,11 +98,6 @@ def test_masked_values_are_no_values(sim, act):
     np.testing.assert_array_equal(sim.get("friction")[0], np.float32([0.5, 0.6, 0.7]))
 
 
-def test_an_impulse_on_a_body_that_it_cannot_move_is_refused(sim):
-    message = told_by(lambda: sim.apply_impulse((1, 0, 0), (0, 0, 0), "ground"))
-    assert message == "body: ground is static, and an impulse cannot move it"
-
-
 def test_a_mesh_waits_for_no_named_pipe(tmp_path):
     """The buffer of a glTF file, which is refused; the materials of an OBJ file, which are not needed."""
     os.mkfifo(tmp_path / "pipe")

@@ -312,30 +312,6 @@ def test_bodies_sleep_all_around_a_planet(device):
     assert asleep(sim) == [1, 2, 3, 4, 5, 6]
 
 
-def busy_scene():
-    """Stacks of which one is hit by a rolling ball after they have fallen asleep."""
-    scene = stack_scene(3, places=(0.0, 0.5))
-    scene.add_body(Sphere(0.1), position=(-3.0, 0, HALF), linear_velocity=(2.5, 0, 0), angular_velocity=(0, 25, 0))
-    return scene
-
-
-def test_runs_repeat_bit_for_bit_whatever_the_place_in_the_batch(device):
-    """Falling asleep and waking at different times in different environments."""
-    delay = (0.0, 0.7)
-    batch = sleeping_sim(busy_scene(), device, 0.0, num_envs=3)
-    for env, x in enumerate(delay):
-        batch.set("position", (-3.0 - x, 0, HALF), envs=[env], bodies=[7])
-    batch.set("sleeping", False, envs=[2])
-    batch.step(600)
-    assert 0 < len(asleep(batch)) and not batch.get("asleep")[2].any()
-    for env, x in enumerate(delay):
-        alone = sleeping_sim(busy_scene(), device, 0.0)
-        alone.set("position", (-3.0 - x, 0, HALF), bodies=[7])
-        for chunk in (100, 1, 250, 249):
-            alone.step(chunk)
-        assert all(batch.get(name)[env].tobytes() == alone.get(name)[0].tobytes() for name in (*STATE, "asleep"))
-
-
 def test_sleep_that_is_switched_on_counts_from_then(device):
     """Whether others in the batch sleep, or have ever slept, does not tell when a stack falls asleep."""
     batch = sleeping_sim(stack_scene(3), device, 0.0, num_envs=2)
@@ -348,38 +324,6 @@ def test_sleep_that_is_switched_on_counts_from_then(device):
         assert asleep(sim, env) == []
         sim.step(21)
         assert asleep(sim, env) == [1, 2, 3]
-
-
-def test_checkpoints_know_of_sleep(device, tmp_path):
-    """Saved while some sleep, one is switched off and there are bounds: the same bits from there."""
-    scene = busy_scene()
-    scene.bounds = ((-9.0, -9.0, -9.0), (9.0, 9.0, np.inf))
-    sim = sleeping_sim(scene, device, 1.0)
-    sim.set("active", False, bodies=[6])
-    sim.step(3)
-    sim.save(tmp_path / "sleepers")
-    loaded = Simulator.load(tmp_path / "sleepers")
-    assert asleep(loaded) == asleep(sim) != []
-    assert loaded.contacts().tobytes() == sim.contacts().tobytes()
-    assert (loaded.scene.bounds, loaded.get("active").tolist()) == (scene.bounds, sim.get("active").tolist())
-    for each in (sim, loaded):
-        each.step(200)
-    assert snapshot(loaded) == snapshot(sim)
-
-
-def test_growing_pools_and_reset_know_of_sleep(device):
-    """From room for one contact to the same bits; a reset wakes all and repeats the run."""
-    roomy = sleeping_sim(busy_scene(), device, 1.0)
-    contacts = roomy.contacts().tobytes()
-    roomy.step(240)
-    grown = sleeping_sim(busy_scene(), device, 1.0, capacity={"pairs": 1, "contacts": 1})
-    assert grown.contacts().tobytes() == contacts
-    grown.step(240)
-    assert snapshot(grown) == snapshot(roomy)
-    grown.reset()
-    assert asleep(grown) == []
-    grown.step(480)
-    assert snapshot(grown) == snapshot(roomy)
 
 
 def test_box_stack_ends_alike_with_and_without_sleep(device):

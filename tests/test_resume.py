@@ -77,22 +77,12 @@ def test_checkpoint_of_a_different_run_is_refused(tmp_path, options, difference)
 
 
 def command(*arguments):
-    return [
-        sys.executable,
-        "-m",
-        "warp_rigid",
-        "run",
-        "box_stack",
-        "--device",
-        "cpu",
-        "--json",
-        *arguments,
-    ]
+    return [sys.executable, "-m", "warp_rigid", "run", "box_stack", "--device", "cpu", "--json", *arguments]
 
 
 def test_a_killed_run_goes_on_bit_for_bit(tmp_path, capsys):
     """A real kill -9 while checkpoints are being written; then the same command again, with --resume."""
-    length = ["--frames", "150", "--envs", "3", "--set", "friction=0.3,0.4,0.5"]
+    length = ["--frames", "80", "--envs", "3", "--set", "friction=0.3,0.4,0.5"]
     killed = command(*length, "--checkpoint", str(tmp_path / "killed.ckpt"), "--checkpoint-every", "1")
     process = subprocess.Popen(killed, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
@@ -103,9 +93,9 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path, capsys):
     os.kill(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     header, _ = archive.load(tmp_path / "killed.ckpt", checkpoint.KIND, checkpoint.VERSION)
-    assert 0 < header["more"]["frame"] < 150
+    assert 0 < header["more"]["frame"] < 80
     done = subprocess.run([*killed, "--resume"], cwd=ROOT, check=True, capture_output=True, text=True)
-    whole = command(*length, "--checkpoint", str(tmp_path / "whole.ckpt"), "--checkpoint-every", "150")
+    whole = command(*length, "--checkpoint", str(tmp_path / "whole.ckpt"), "--checkpoint-every", "80")
     assert cli.main(whole[3:]) == 0
     ends = [
         archive.load(tmp_path / f"{name}.ckpt", checkpoint.KIND, checkpoint.VERSION) for name in ("killed", "whole")

@@ -24,8 +24,7 @@ def example():
 
 
 @pytest.mark.parametrize(
-    ("name", "angle", "position"),
-    [("Panda, arm and gripper", 6.4e-3, 5.2), ("Go2, quadruped", 2.0e-3, 0.44)],
+    ("name", "angle", "position"), [("Panda, arm and gripper", 6.4e-3, 5.2), ("Go2, quadruped", 2.0e-3, 0.44)]
 )
 def test_a_robot_moves_as_in_mujoco(example, name, angle, position):
     """Within twice the differences of the page, in radians and millimetres; masses to float32."""

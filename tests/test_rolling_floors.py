@@ -110,11 +110,7 @@ def test_a_ball_keeps_its_spin_without_friction(floor):
         scene.add_static(shape, position=position, friction=0.0)
     spin = np.array([11.0, -60.0, 23.0])
     scene.add_body(
-        Sphere(RADIUS),
-        position=(-1, 0.003, RADIUS),
-        linear_velocity=(0.7, 0.3, 0),
-        angular_velocity=spin,
-        friction=0.0,
+        Sphere(RADIUS), position=(-1, 0.003, RADIUS), linear_velocity=(0.7, 0.3, 0), angular_velocity=spin, friction=0.0
     )
     sim = Simulator(scene, device="cpu")
     sim.step(360)

@@ -219,23 +219,6 @@ def test_the_stack_on_a_belt_rides_along(device):
     np.testing.assert_allclose(sim.get("linear_velocity")[0, 1:, 0], 0.5, atol=1e-3)
 
 
-def test_a_reset_and_a_checkpoint_keep_the_velocity_that_was_set(device, tmp_path):
-    sim = wr.Simulator(belt_scene(1.0), num_envs=2, device=device)
-    sim.set("surface_velocity", (-1.0, 0, 0), envs=[1], bodies=[0])
-    sim.set("surface_angular_velocity", (0, 0, 0.2), envs=[1], bodies=[0])
-    sim.step(60)
-    first = sim.get("position").tobytes()
-    sim.save(tmp_path / "belt.ckpt")
-    loaded = wr.Simulator.load(tmp_path / "belt.ckpt", device)
-    for one in (sim, loaded):
-        one.step(60)
-    assert loaded.get("position").tobytes() == sim.get("position").tobytes()
-    np.testing.assert_allclose(loaded.get("surface_angular_velocity")[1, 0], (0, 0, 0.2))
-    sim.reset()
-    sim.step(60)
-    assert sim.get("position").tobytes() == first
-
-
 def test_velocities_without_effect_change_no_bit(device):
     """A step that has the stage of running surfaces gives the bits of one without it, for surfaces that do not run."""
     found = []

@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from warp_rigid.kernels import declare
-from warp_rigid.scene.coefficients import COEFFICIENTS, Coefficient
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes.base import Shape
@@ -34,11 +33,7 @@ def test_bodies_keep_the_order_of_adding():
     assert scene.add_static(Ground()) == 0
     assert scene.add_body(Lump()) == 1
     assert scene.add_kinematic(Lump()) == 2
-    assert [body.motion for body in scene.bodies] == [
-        Motion.STATIC,
-        Motion.DYNAMIC,
-        Motion.KINEMATIC,
-    ]
+    assert [body.motion for body in scene.bodies] == [Motion.STATIC, Motion.DYNAMIC, Motion.KINEMATIC]
     assert repr(scene) == "Scene(1 dynamic, 1 kinematic, 1 static bodies)"
 
 
@@ -194,24 +189,6 @@ def test_signature_and_keywords_list_the_coefficients(add):
     }  # fmt: skip
     with pytest.raises(TypeError, match="^unexpected keyword argument 'fricton'$"):
         add(Scene(), Lump(), fricton=0.5)
-
-
-def test_docstring_describes_each_coefficient():
-    text = inspect.getdoc(Scene.add_body)
-    assert "    restitution: rebound speed over approach speed, from 0 to 1.\n" in text
-    assert "against rolling, >= 0 [m].\n" in text and "**coefficients" not in text
-
-
-def test_device_arrays_have_the_units_of_the_coefficients():
-    arrays = declare.LAYOUTS["Bodies"]
-    assert {name: arrays[name].unit for name in COEFFICIENTS} == {c.name: c.unit for c in COEFFICIENTS.values()}
-
-
-@pytest.mark.parametrize(
-    ("unit", "power"), [("", 0), ("m", 1), ("s/m", -1), ("kg m^2/s", 2), ("kg/m^3", -3), ("m/rad", 1)]
-)
-def test_power_of_the_metre_in_a_unit(unit, power):
-    assert Coefficient("x", 0.0, unit, "", 1.0).length_power == power
 
 
 def test_density_and_mass_exclude_each_other():

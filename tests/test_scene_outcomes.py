@@ -8,8 +8,8 @@ import pytest
 from tests.scene_oracles import StillSimulator, about
 from warp_rigid import scenes
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Plane, Sphere
-from warp_rigid.scenes import box_stack, leaning_tower, skull_and_brain, sorting_line
+from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
+from warp_rigid.scenes import leaning_tower, skull_and_brain, sorting_line
 from warp_rigid.scenes.demo import clearance
 
 
@@ -60,14 +60,7 @@ CLEARANCES = [
     (Box((1, 1, 0.1)), (0, 0, 0), Box((0.1,) * 3), (0.3, 0.2, 0.197), (0, 0, 0, 1), -0.003),
     (Box((0.1,) * 3), (0.3, 0.2, 0.197), Box((1, 1, 0.1)), (0, 0, 0), (0, 0, 0, 1), -0.003),
     # A long beam that lies across another with its edge, which touches between the vertices.
-    (
-        Box((1, 0.05, 0.05)),
-        (0, 0, 0),
-        Box((0.05, 1, 0.05)),
-        (0.1, 0, 0.15),
-        about((0, 1, 0), 45),
-        0.1 - 0.05 * 2**0.5,
-    ),
+    (Box((1, 0.05, 0.05)), (0, 0, 0), Box((0.05, 1, 0.05)), (0.1, 0, 0.15), about((0, 1, 0), 45), 0.1 - 0.05 * 2**0.5),
     # Balls and a capsule.
     (Sphere(0.3), (0, 0, 0), Sphere(0.2), (0.4, 0.3, 0), (0, 0, 0, 1), 0.0),
     (Plane((1, 0, 0), -1.0), (0, 0, 0), Sphere(0.2), (-0.9, 3, 0), (0, 0, 0, 1), -0.1),
@@ -83,15 +76,6 @@ def test_clearance_matches_geometry(first, place, second, position, orientation,
     # The samples are kept in single precision.
     np.testing.assert_allclose(clearance(StillSimulator(scene), 0, 1), [expected], atol=1e-7)
     np.testing.assert_allclose(clearance(StillSimulator(scene), 1, 0), [expected], atol=1e-7)
-
-
-def test_clearance_is_one_number_an_environment():
-    scene = Scene()
-    scene.add_static(Plane((0, 0, 1), 0.0))
-    scene.add_body(Cylinder(0.1, 0.2), position=(0, 0, 0.2))
-    sim = StillSimulator(scene, 3)
-    sim.arrays["position"][:, 1, 2] += [0.0, 0.1, -0.01]
-    np.testing.assert_allclose(clearance(sim, 0, 1), [0.0, 0.1, -0.01], atol=1e-7)
 
 
 # ---------------------------------------------------------------- box_stack
@@ -122,15 +106,6 @@ def test_stack_drift_sink_and_depth():
     assert verdicts["sink"].expected == {"default": True, "one_pass": True, "off": False}
 
 
-def test_stack_deviations_count_only_in_the_second_before_the_hit():
-    outcome, sim, boxes = standing_stack(1)
-    for time, sideways in ((3.9, 0.1), (4.2, 0.0002), (5.1, 0.3)):
-        sim.time = time
-        sim.arrays["position"][0, boxes[3], 0] = sideways
-        outcome.observe(sim)
-    check(by_name(outcome.verdicts(sim))["drift"], [0.0002], [True])
-
-
 def test_stack_after_the_hit():
     outcome, sim, boxes = standing_stack(4)
     outcome.observe(sim)
@@ -145,33 +120,6 @@ def test_stack_after_the_hit():
     check(verdicts["overlap"], [0, 0, 0.002, 0], [True, True, False, True])
     check(verdicts["speed"], [0, 0, 0, 0.06], [True, True, True, False])
     check(verdicts["drift"], [0, 0, 0, 0], [True] * 4)
-
-
-def test_a_low_stack_may_stand_without_shock_propagation():
-    outcome, sim = start("box_stack", height=2)
-    sim.time = 4.5
-    outcome.observe(sim)
-    assert "off" not in by_name(outcome.verdicts(sim))["sink"].expected
-
-
-def test_projectile_is_launched_once():
-    scene = scenes.load("box_stack")
-    ((time, launch),) = box_stack.events(scene)
-    assert time == 5.0
-    sim = StillSimulator(scene)
-    launch(sim)
-    assert sim.calls == [("linear_velocity", (8.0, 0.0, 2.0), [sim.index("projectile")])]
-
-
-def test_projectile_hits_the_upper_half_of_the_stack():
-    for height in (5, 10, 50):
-        scene = scenes.load("box_stack", height=height)
-        sim = StillSimulator(scene)
-        start_x, _, start_z = scene.bodies[sim.index("projectile")].position
-        flight = (-0.1 - 0.15 - start_x) / 8.0
-        z = start_z + 2.0 * flight - 0.5 * 9.81 * flight**2
-        stack = 0.2 * height
-        assert 0.5 * stack < z - 0.5 < stack
 
 
 # ---------------------------------------------------------------- leaning_tower
@@ -198,23 +146,6 @@ def test_tower_that_must_fall():
     assert verdict.expected == {"default": True, "off": True, "two_pass": True, "one_pass": False}
 
 
-def test_tower_that_must_stand():
-    outcome, sim = start("leaning_tower", num_envs=3, offset=0.09)
-    sim.arrays["position"][1, sim.index("box_9"), 2] = 0.6
-    sim.arrays["position"][2, sim.index("box_4"), 1] += 0.021
-    (verdict,) = outcome.verdicts(sim)
-    check(verdict, [0.0, 1.8, 0.021], [True, False, False])
-    assert verdict.unit == "mm"
-    assert verdict.expected == {"default": True, "one_pass": True}
-
-
-@pytest.mark.parametrize("offset", [0.0995, 0.1, 0.1005])
-def test_nothing_is_expected_of_a_marginal_tower(offset):
-    """Ten boxes balance exactly at an offset of 0.1: rounding decides."""
-    outcome, sim = start("leaning_tower", offset=offset)
-    assert [verdict.expected for verdict in outcome.verdicts(sim)] == [{}]
-
-
 # ---------------------------------------------------------------- incline
 
 
@@ -232,19 +163,6 @@ def test_incline_measures_slide_lift_and_depth():
     check(verdicts["slide"], [0, 0.002, 0, 0], [True, False, True, True], atol=1e-12)
     check(verdicts["lift"], [0, 0, 0.003, 0], [True, True, False, True], atol=1e-7)
     check(verdicts["depth"], [0, 0, 0, 0.004], [True, True, True, False], atol=1e-7)
-
-
-def test_incline_keeps_the_extremes_but_judges_the_slide_at_the_end():
-    outcome, sim = start("incline")
-    block = sim.index("block")
-    place = sim.arrays["position"][0, block].copy()
-    for height in (0.01, -0.01, 0.0):
-        sim.arrays["position"][0, block] = place + (0, 0, height)
-        outcome.observe(sim)
-    verdicts = by_name(outcome.verdicts(sim))
-    check(verdicts["slide"], [0.0], [True], atol=1e-12)
-    check(verdicts["lift"], [0.01 * math.cos(math.radians(20))], [False], atol=1e-7)
-    check(verdicts["depth"], [0.01 * math.cos(math.radians(20))], [False], atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -292,13 +210,6 @@ def test_launch_measures_the_depth_only_during_the_launch():
     check(by_name(outcome.verdicts(sim))["depth"], [0.0015, 0.0035], [True, False], atol=1e-7)
 
 
-def test_launch_that_was_never_seen_has_no_depth():
-    outcome, sim = start("plank_launch")
-    sim.time = 2.0
-    outcome.observe(sim)
-    assert list(by_name(outcome.verdicts(sim))) == ["rise"]
-
-
 # ---------------------------------------------------------------- seesaw
 
 
@@ -318,12 +229,6 @@ def test_seesaw_tilts():
     # To the left first, or left alone, is no tipping back.
     check(verdicts["tips_back"], [17, 9, 0, 0], [True, False, False, False], atol=1e-9)
     assert verdicts["tips_back"].expected["no_contact"] is False
-
-
-def test_seesaw_expects_nothing_of_a_balance():
-    outcome, sim = start("seesaw", large_mass=5.0, small_mass=4.0)
-    outcome.observe(sim)
-    assert [verdict.expected for verdict in outcome.verdicts(sim)] == [{}, {}]
 
 
 # ---------------------------------------------------------------- skull_and_brain, bunny_pile
@@ -429,15 +334,6 @@ def test_rings_on_poles_are_counted():
     verdicts = by_name(outcome.verdicts(sim))
     check(verdicts["threaded"], [1, 1, 0, 0, 0], [True, True, False, False, False])
     check(verdicts["lost"], [0, 0, 0, 1, 1], [True, True, True, False, False])
-
-
-def test_rings_are_judged_by_their_deepest_overlap():
-    """A depth that has passed by the end counts."""
-    outcome, sim = start("rings_on_poles", num_envs=2, rings=1, poles=4)
-    for depth in (0.0, 0.06, 0.0):
-        sim.depth = np.array([0.0, depth])
-        outcome.observe(sim)
-    check(by_name(outcome.verdicts(sim))["deepest"], [0.0, 0.06], [True, False])
 
 
 def test_bones_are_in_the_plot_or_still_in_the_funnel():

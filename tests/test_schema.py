@@ -1,8 +1,6 @@
 """The declarations of arrays, and what follows from them: structs, packed records, slices and the page of arrays."""
 
-import ast
 import importlib.util
-import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,10 +8,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warp_rigid import Box, Scene, Settings
+from warp_rigid import Box, Scene
 from warp_rigid.engine import model
 from warp_rigid.engine.layout import layout_of
-from warp_rigid.kernels import declare, enums, schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.joints import arrays
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
@@ -21,12 +19,8 @@ from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 wp.set_module_options({"enable_backward": False})
 
 ROOT = Path(__file__).resolve().parents[1]
-KERNELS = sorted((ROOT / "kernels").rglob("*.py"))
-DECLARED = {**declare.LAYOUTS, **declare.RECORDS}
 ROWS = 37
-BASE_UNITS = {"kg", "m", "s", "rad", "N", "J", "1"}
 SYMBOLS = {**schema.SYMBOLS, **arrays.SYMBOLS}
-CONTACT_FLAG = {"flag": "more", "optional_from": "surface"}
 
 
 def make_arrays():
@@ -37,66 +31,8 @@ def make_arrays():
     return program
 
 
-def fields():
-    return [(struct, name, field) for struct, members in DECLARED.items() for name, field in members.items()]
-
-
 def test_the_page_of_arrays_follows_the_declarations():
     assert (ROOT / "docs" / "arrays.md").read_text() == make_arrays().page(), "run docs/make_arrays.py"
-
-
-def test_the_page_names_every_array_and_every_member():
-    """Read from the page's text: a table that is left out would pass the test above."""
-    sections = dict(part.split("\n", 1) for part in (ROOT / "docs" / "arrays.md").read_text().split("\n### ")[1:])
-    for struct, name, field in fields():
-        if not name.startswith("padding_"):
-            (row,) = [line for line in sections[struct].splitlines() if line.startswith(f"`{name}` ")]
-            assert row.endswith(f" | {field.description}")
-            assert re.findall(r" \[([^]]*)\] ?\w* \|", row) == ([field.unit] if field.unit else [])
-    for name, kind in vars(enums).items():
-        if isinstance(kind, type) and kind.__module__ == enums.__name__:
-            for member, value in kind.__members__.items():
-                assert re.search(rf"`{member}`: {value.value}\b", sections[name])
-
-
-def test_every_array_and_member_is_described():
-    assert [f"{struct}.{name}" for struct, name, field in fields() if not field.description.strip()] == []
-    assert [name for name in DECLARED if not declare.DESCRIPTIONS[name].strip()] == []
-
-
-def test_units_are_products_of_si_units():
-    """A unit is written as "N m s" or "1/(kg m^2)"; "SI" stands for several."""
-    for struct, name, field in fields():
-        symbols = field.unit.replace("/", " ").replace("(", " ").replace(")", " ").replace("^2", "").split()
-        assert field.unit == "SI" or set(symbols) <= BASE_UNITS, f"{struct}.{name} [{field.unit}]"
-
-
-def test_shapes_are_sums_of_known_symbols_and_numbers():
-    known = set(SYMBOLS)
-    used = set()
-    for struct, members in declare.LAYOUTS.items():
-        for name, field in members.items():
-            terms = {term.strip() for size in field.shape.split(",") for term in size.split("+")}
-            symbols = {term for term in terms if not term.isdigit()}
-            assert symbols <= known, f"{struct}.{name} ({field.shape})"
-            assert {field.index_of} <= known | {""}, f"{struct}.{name} counts {field.index_of}"
-            used |= symbols
-    assert set(SYMBOLS) == used & set(SYMBOLS), "a symbol that no array has"
-    assert {field.shape for members in declare.RECORDS.values() for field in members.values()} == {""}
-
-
-@pytest.mark.parametrize("struct", DECLARED)
-def test_a_struct_has_the_declared_members(struct):
-    declared = DECLARED[struct]
-    made = declare.STRUCTS[struct].vars
-    assert list(made) == list(declared)
-    for name, field in declared.items():
-        if struct in declare.RECORDS:
-            assert wp.types.type_size_in_bytes(made[name].type) == wp.types.type_size_in_bytes(field.dtype)
-            assert wp.types.types_equal(made[name].type, field.dtype)
-        else:
-            assert wp.types.types_equal(made[name].type.dtype, field.dtype)
-            assert made[name].type.ndim == len(field.shape.split(","))
 
 
 @pytest.mark.parametrize("struct", declare.LAYOUTS)
@@ -248,12 +184,6 @@ def test_a_group_is_written_alone(name, device, made):
 OPTIONAL = ("surface", "rolling_friction", "spinning_friction", "restitution")
 
 
-def test_the_optional_members_of_a_contact_are_the_last_ones():
-    members = [name for name in declare.RECORDS["ContactRecord"] if not name.startswith("padding_")]
-    assert tuple(members[members.index("surface") :]) == OPTIONAL
-    assert declare.first_word(schema.ContactRecord, "surface") % 4 == 0
-
-
 @pytest.mark.parametrize("name", OPTIONAL)
 def test_a_contact_notes_whether_it_has_optional_members(name, device, made):
     """One optional member of every second record is not 0, in one component; the flag follows from the members."""
@@ -295,32 +225,6 @@ def scene_with_filters_and_moving_ground(moving):
     return scene
 
 
-@pytest.mark.parametrize("moving", [False, True])
-def test_a_part_of_the_arrays_counts_from_its_own_start(moving):
-    """Environments 1 and 2 of 3 are what a model of 2 has. Places in the pool of shapes stay those of the whole."""
-    scene = scene_with_filters_and_moving_ground(moving)
-    whole, alone = (model.build_model(layout_of(scene, count), "cpu") for count in (3, 2))
-    part = whole.part(1, 3)
-    for struct, pooled in (("bodies", "shape"), ("surfaces", "sample")):
-        found, expected = getattr(part, struct), getattr(alone, struct)
-        for name in declare.field_names(found._cls):
-            if name != pooled:
-                np.testing.assert_array_equal(getattr(found, name).numpy(), getattr(expected, name).numpy(), name)
-    ranges = layout_of(scene, 3).ranges(1, 3)
-    envs, expected = (model.initial_environments(layout_of(scene, count), Settings(), "cpu") for count in (3, 2))
-    first_body = declare.part(envs, ranges).first_body.numpy()
-    np.testing.assert_array_equal(first_body, expected.first_body.numpy())
-
-
-def test_a_part_shares_memory_with_the_whole():
-    scene = scene_with_filters_and_moving_ground(moving=False)
-    state = model.initial_state(layout_of(scene, 3), "cpu")
-    part = declare.part(state, layout_of(scene, 3).ranges(1, 3))
-    part.position.fill_(wp.vec3(7.0, 8.0, 9.0))
-    changed = (state.position.numpy() == [7.0, 8.0, 9.0]).all(axis=1)
-    np.testing.assert_array_equal(changed, np.arange(3 * len(scene.bodies)) >= len(scene.bodies))
-
-
 def test_a_part_without_rows_has_a_row_of_its_own():
     """A scene without filtered pairs between and behind others: a row of the others would be undone with its shard."""
     plain = Scene()
@@ -330,50 +234,3 @@ def test_a_part_without_rows_has_a_row_of_its_own():
     parts = [whole.part(env, env + 1).bodies.filtered for env in range(3)]
     assert [part.shape for part in parts] == [(1,), (4,), (1,)]
     assert len({part.ptr for part in parts}) == 3 and parts[1].ptr == whole.bodies.filtered.ptr
-
-
-def repeated_members(source):
-    """Constants of a module that have the name and the value of a member of an enumeration, and bare numbers that
-    something named after an enumeration is compared with."""
-    kinds = [kind for kind in vars(enums).values() if isinstance(kind, type) and kind.__module__ == enums.__name__]
-    members = {(name, int(member)) for kind in kinds for name, member in kind.__members__.items()}
-    tree = ast.parse(source)
-    found = []
-    for node in tree.body:
-        if isinstance(node, ast.Assign):
-            value = node.value.args[0] if isinstance(node.value, ast.Call) and node.value.args else node.value
-            if isinstance(value, ast.Constant):
-                names = [target.id for target in node.targets if isinstance(target, ast.Name)]
-                found += [
-                    name
-                    for name in names
-                    for member, number in members
-                    if value.value == number and (name == member or name.endswith(f"_{member}"))
-                ]
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Compare):
-            sides = [node.left, *node.comparators]
-            named = {ast.unparse(side).split("[")[0].split(".")[-1] for side in sides}
-            if named & {"kind", "motion", "role", "shock_propagation"} and any(
-                isinstance(side, ast.Constant) and isinstance(side.value, int) for side in sides
-            ):
-                found.append(ast.unparse(node))
-    return found
-
-
-def test_a_member_of_an_enumeration_is_not_written_again():
-    found = {file.name: repeated_members(file.read_text()) for file in KERNELS if file.name != "enums.py"}
-    assert {name: members for name, members in found.items() if members} == {}
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        "HEIGHTFIELD = 6",
-        "SAMPLE_EDGE = wp.constant(1)",
-        "def f(kind: int):\n    return kind == 3",
-        "if bodies.motion[b] != 2: pass",
-    ],
-)
-def test_a_repeated_member_is_found(source):
-    assert len(repeated_members(source)) == 1

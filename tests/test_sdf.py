@@ -315,16 +315,6 @@ def test_nothing_is_left_behind_when_the_disk_is_full(empty_cache, monkeypatch):
     assert cache_files(empty_cache) == []
 
 
-def test_default_cache_folder_is_the_users(monkeypatch, tmp_path):
-    monkeypatch.delenv("WARP_RIGID_CACHE")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(distance_grid.sys, "platform", "linux")
-    assert distance_grid.cache_folder() == tmp_path / "warp_rigid"
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert distance_grid.cache_folder() == tmp_path / ".cache" / "warp_rigid"
-
-
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core")
 def test_slabs_on_several_threads_give_what_one_gives(monkeypatch):
     mesh = Mesh(*star_prism())

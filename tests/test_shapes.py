@@ -8,25 +8,10 @@ import trimesh
 
 from tests.geometry_oracles import (
     cube,
-    distance_to_polyline,
-    distance_to_triangles,
-    numeric_gradient,
-    points_around,
     random_rotation,
 )
 from warp_rigid import rotations
-from warp_rigid.scene.shapes import (
-    Box,
-    Capsule,
-    Compound,
-    Cylinder,
-    Heightfield,
-    Mesh,
-    PartKind,
-    Plane,
-    Shape,
-    Sphere,
-)
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, PartKind, Plane, Shape, Sphere
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
@@ -34,12 +19,7 @@ IDENTITY = (0.0, 0.0, 0.0, 1.0)
 def turned_pair():
     """An L of two boxes that touch without overlapping, the second one turned."""
     quarter = (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
-    return Compound(
-        [
-            (Box((0.4, 0.1, 0.1)), (0.4, 0, 0), IDENTITY),
-            (Box((0.3, 0.1, 0.1)), (0, 0.2, 0), quarter),
-        ]
-    )
+    return Compound([(Box((0.4, 0.1, 0.1)), (0.4, 0, 0), IDENTITY), (Box((0.3, 0.1, 0.1)), (0, 0.2, 0), quarter)])
 
 
 SOLIDS = {
@@ -50,56 +30,6 @@ SOLIDS = {
     "disc": Cylinder(0.5, 0.1),
     "compound": turned_pair(),
 }
-
-
-def profile(shape):
-    """(distance from the axis, height) along the surface of a shape of revolution, pole to pole."""
-    arc = np.linspace(0.0, 0.5 * np.pi, 2001)
-    if isinstance(shape, Sphere):
-        arc = np.linspace(0.0, np.pi, 4001)
-        return shape.radius * np.column_stack([np.sin(arc), -np.cos(arc)])
-    if isinstance(shape, Capsule):
-        low = shape.radius * np.column_stack([np.sin(arc), -np.cos(arc)]) - [0, shape.half_height]
-        return np.concatenate([low, low[::-1] * [1, -1]])
-    r, h = shape.radius, shape.half_height
-    return np.array([[0, -h], [r, -h], [r, h], [0, h]])
-
-
-@pytest.mark.parametrize("name", ["sphere", "capsule", "cylinder", "disc"])
-def test_distance_to_solids_of_revolution(name):
-    shape = SOLIDS[name]
-    points = points_around(*shape.bounds, 2.0, 2000, np.random.default_rng(0))
-    flat = np.column_stack([np.linalg.norm(points[:, :2], axis=1), points[:, 2]])
-    expected = distance_to_polyline(flat, profile(shape))
-    distance, _ = shape.signed_distance(points)
-    np.testing.assert_allclose(np.abs(distance), expected, atol=2e-7)
-
-
-def test_distance_to_a_box():
-    box = SOLIDS["box"]
-    points = points_around(*box.bounds, 2.0, 2000, np.random.default_rng(0))
-    vertices, faces = cube()
-    triangles = (2.0 * vertices * box.half_extents)[faces]
-    distance, _ = box.signed_distance(points)
-    np.testing.assert_allclose(np.abs(distance), distance_to_triangles(points, triangles), atol=1e-12)
-    inside = (np.abs(points) < box.half_extents).all(axis=1)
-    np.testing.assert_array_equal(distance < 0.0, inside)
-
-
-@pytest.mark.parametrize("name", ["sphere", "capsule", "cylinder", "disc"])
-def test_sign_of_solids_of_revolution(name):
-    shape = SOLIDS[name]
-    points = points_around(*shape.bounds, 1.5, 5000, np.random.default_rng(1))
-    corners = profile(shape)
-    flat = np.column_stack([np.linalg.norm(points[:, :2], axis=1), points[:, 2]])
-    # the outline is convex: inside means left of each side, which runs from the lowest point up
-    side = np.diff(corners, axis=0)
-    arm = flat[:, None] - corners[None, :-1]
-    inside = (side[:, 0] * arm[..., 1] - side[:, 1] * arm[..., 0] > 0.0).all(axis=1)
-    distance, _ = shape.signed_distance(points)
-    clear = np.abs(distance) > 1e-6
-    np.testing.assert_array_equal((distance < 0.0)[clear], inside[clear])
-    assert 0.1 < inside.mean() < 0.9
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -119,22 +49,6 @@ def test_inner_balls_are_in_every_arm_of_a_mesh():
     for axis in np.eye(3):
         away = np.linalg.norm(along[:, None, None] * axis - balls[:, :3], axis=2)
         assert (away - balls[:, 3]).min(axis=1).max() < 0.1 * arm
-
-
-@pytest.mark.parametrize("name", SOLIDS)
-def test_gradient_is_that_of_the_distance(name):
-    shape = SOLIDS[name]
-    points = points_around(*shape.bounds, 1.6, 3000, np.random.default_rng(2))
-
-    def value(at):
-        return shape.signed_distance(at)[0]
-
-    coarse, fine = (numeric_gradient(value, points, step) for step in (2e-5, 1e-5))
-    smooth = np.abs(coarse - fine).max(axis=1) < 1e-4  # elsewhere a step crosses a crease
-    assert smooth.mean() > 0.98
-    _, gradient = shape.signed_distance(points)
-    np.testing.assert_allclose(gradient[smooth], fine[smooth], atol=2e-4)
-    np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -204,19 +118,6 @@ def test_plane():
     assert np.isinf(Plane((1, 0, 1)).bounds).all()
 
 
-def test_compound_distance_is_that_of_the_union():
-    shape = turned_pair()
-    outline = [shape.surface()[0][face] for face in shape.surface()[1]]
-    points = points_around(*shape.bounds, 2.0, 1500, np.random.default_rng(7))
-    distance, _ = shape.signed_distance(points)
-    first = (np.abs(points - [0.4, 0, 0]) < [0.4, 0.1, 0.1]).all(axis=1)
-    second = (np.abs(points - [0, 0.2, 0]) < [0.1, 0.3, 0.1]).all(axis=1)
-    np.testing.assert_array_equal(distance < 0.0, first | second)
-    exact = distance_to_triangles(points, np.array(outline))
-    outside = ~(first | second)
-    np.testing.assert_allclose(distance[outside], exact[outside], atol=1e-12)
-
-
 def test_nested_compounds_are_flattened_at_the_right_places():
     generator = np.random.default_rng(8)
     inner_turn, _ = random_rotation(generator)
@@ -235,20 +136,6 @@ def test_nested_compounds_are_flattened_at_the_right_places():
         axis=0,
     )
     np.testing.assert_allclose(outer.signed_distance(points)[0], nearest, atol=1e-12)
-
-
-def test_parts_carry_the_kernels_sizes():
-    expected = {
-        PartKind.SPHERE: (Sphere(0.4), (0.4, 0, 0, 0)),
-        PartKind.BOX: (Box((1, 2, 3)), (1, 2, 3, 0)),
-        PartKind.CAPSULE: (Capsule(0.1, 0.2), (0.1, 0.2, 0, 0)),
-        PartKind.CYLINDER: (Cylinder(0.1, 0.2), (0.1, 0.2, 0, 0)),
-        PartKind.PLANE: (Plane((0, 0, 2), 0.5), (0, 0, 1, 0.5)),
-    }
-    for kind, (shape, size) in expected.items():
-        (part,) = shape.parts()
-        assert part.kind == kind and part.size == pytest.approx(size)
-        assert part.position == (0, 0, 0) and part.orientation == IDENTITY and part.grid is None
 
 
 def test_equal_shapes_share_a_key_and_shapes_cannot_be_changed():

@@ -326,26 +326,3 @@ def test_ring_is_a_pierced_prism():
         meshes.ring(segments=4)
     with pytest.raises(ValueError, match="^major: "):
         meshes.torus(0.01, 0.02)
-
-
-def test_skull_is_an_open_shell_with_five_openings():
-    skull = meshes.skull_like()
-    assert not skull.watertight and skull.repairs == []
-    assert 2000 <= len(skull.faces) <= 4000
-    assert np.ptp(skull.vertices, axis=0).max() == pytest.approx(0.25)
-    np.testing.assert_allclose(skull.center_of_mass, 0.0, atol=1e-12)
-    reference = trimesh.Trimesh(skull.vertices, skull.faces, process=False)
-    assert reference.body_count == 1 and reference.is_winding_consistent
-    # a sphere with five holes: two eyes, nose, mouth, base
-    assert reference.euler_number == 2 - 5
-    mirrored = skull.vertices * [1, -1, 1]
-    gap = np.linalg.norm(mirrored[:, None] - skull.vertices[None], axis=2).min(axis=1)
-    assert gap.max() < 0.004
-
-
-def test_brain_is_closed_and_folded():
-    brain = meshes.brain_like()
-    assert brain.watertight and brain.repairs == [] and 5000 <= len(brain.faces) <= 10_000
-    assert np.ptp(brain.vertices, axis=0).max() == pytest.approx(0.18)
-    hull = trimesh.Trimesh(brain.vertices, brain.faces, process=False).convex_hull
-    assert brain.volume < 0.9 * hull.volume

@@ -6,8 +6,6 @@ all environments are one shard, and no thread is started.
 
 import logging
 import os
-import subprocess
-import sys
 import threading
 import time
 
@@ -16,7 +14,6 @@ import pytest
 
 from tests.oracles import ground_scene, rotate_about
 from warp_rigid.engine import batch, cores, shard
-from warp_rigid.engine.layout import layout_of
 from warp_rigid.engine.memory import MemoryLimit
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step_reports import counts_of_environments
@@ -295,25 +292,6 @@ def test_other_threads_run_while_a_step_does(on_cores):
     assert naps > 3
 
 
-def test_work_is_spread_and_its_errors_come_back():
-    assert cores.spread(lambda n: n * n, range(20), 3) == [n * n for n in range(20)]
-    assert cores.spread(lambda n: n, [], 3) == []
-    busy = []
-
-    def fails(n):
-        busy.append(n)
-        if n == 1:
-            raise ValueError("one")
-        time.sleep(0.05)
-        busy.remove(n)
-
-    for threads in (1, 2, 4):
-        busy.clear()
-        with pytest.raises(ValueError, match="one"):
-            cores.spread(fails, range(4), threads)
-        assert busy == [1], "nothing is at work any more"
-
-
 def test_a_forked_process_starts_its_own_threads():
     assert cores.spread(lambda n: n, range(4), 4) == list(range(4))
     child = os.fork()
@@ -339,25 +317,3 @@ def test_cores_are_those_of_the_process_and_its_container(monkeypatch, tmp_path)
     with cores.shared_by(3):
         assert cores.usable_cores() == 2
     assert cores.usable_cores() == 8
-
-
-def test_a_process_held_to_one_core_takes_one():
-    code = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); " + (
-        "from warp_rigid.engine.cores import usable_cores; print(usable_cores())"
-    )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "1\n"
-
-
-def test_few_bodies_stay_together(monkeypatch):
-    """A thread must be worth its waking, and no environment is in two shards."""
-    monkeypatch.setattr(batch, "usable_cores", lambda: 4)
-    room = {"pairs": 100, "contacts": 301}
-    cpu = type("Device", (), {"is_cuda": False})
-    for envs in (1, 2, 3, 7, 100):
-        ranges = batch.plan(layout_of(boxes_apart(), envs), room, cpu)
-        assert [some.first for some in ranges] == [0, *(some.end for some in ranges[:-1])] and ranges[-1].end == envs
-        assert len(ranges) == {1: 1, 2: 1, 3: 2, 7: 5, 100: 8}[envs]
-        assert sum(some.sizes["pairs"] for some in ranges) == 100
-        assert sum(some.sizes["contacts"] for some in ranges) == 301
-    cuda = type("Device", (), {"is_cuda": True})
-    assert len(batch.plan(layout_of(boxes_apart(), 1000), room, cuda)) == 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.oracles import ground_scene, random_pile
+from tests.oracles import ground_scene
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.shapes import Box, Sphere
@@ -120,15 +120,3 @@ def test_sleeping_islands_are_counted(device):
     assert sim.get("asleep")[0, 1:].all()
     assert (stats["islands"][0], stats["islands_asleep"][0]) == (3, 3)
     assert stats["islands_shock"][0] == stats["islands_sweeps"][0] == 0
-
-
-def test_environments_report_what_they_report_alone(device):
-    """A pile in a batch has the statistics of the same pile alone, the capacity apart."""
-    scene = random_pile(np.random.default_rng(3))
-    batch, alone = (Simulator(scene, num_envs=count, device=device) for count in (3, 1))
-    for sim in (batch, alone):
-        sim.step(40)
-    one = alone.stats()
-    for name, values in batch.stats().items():
-        if not name.endswith("capacity_used"):
-            np.testing.assert_array_equal(values, np.repeat(one[name], 3))

@@ -1,12 +1,11 @@
 """Strings in pictures: tubes between the anchors of distance joints."""
 
 import numpy as np
-import trimesh
 from PIL import Image
 
 import warp_rigid as wr
 from warp_rigid.commands import cli
-from warp_rigid.render.film import colored, film_from_recording
+from warp_rigid.render.film import film_from_recording
 from warp_rigid.render.strings import SIDES, THICKNESS, with_strings
 
 RADIUS = THICKNESS * 0.2
@@ -44,37 +43,11 @@ def test_strings_end_at_the_anchors():
         np.testing.assert_array_equal(film.position[:, -2 + env], np.broadcast_to(film.offset[env], (31, 3)))
 
 
-def test_sides_face_outward():
-    found = recording(envs=1)
-    mesh = with_strings(film_from_recording(found), found).meshes[-1]
-    tube = trimesh.Trimesh(mesh.vertices[: 2 * SIDES], mesh.faces[: 2 * SIDES], process=False)
-    outward = tube.triangles_center - tube.vertices.mean(axis=0)
-    along = found.position[0, 0, 1] / np.linalg.norm(found.position[0, 0, 1])
-    outward -= (outward @ along)[:, None] * along
-    assert ((tube.face_normals * outward).sum(axis=1) > 0.0).all()
-
-
 def test_a_broken_string_is_not_drawn():
     found = recording(envs=1)
     assert np.linalg.norm(found.position[-1, 0, 2] - (2, 0, 0)) > 1.1
     tube = with_strings(film_from_recording(found), found).meshes[-1].frames[-1][2 * SIDES :]
     assert np.ptp(tube, axis=0).max() == 0.0
-
-
-def test_colors_of_bodies_stay():
-    found = wr.record(wr.Simulator(pendulums(), device="cpu"), frames=3, velocities=True)
-    plain = colored(film_from_recording(found), found, "speed")
-    film = with_strings(plain, found)
-    np.testing.assert_array_equal(film.color[:, :3], plain.color)
-    assert film.color.shape == (4, 4, 3)
-
-
-def test_a_scene_without_strings_is_not_changed():
-    scene = wr.Scene()
-    scene.add_body(wr.Sphere(0.1))
-    found = wr.record(wr.Simulator(scene, device="cpu"), frames=1)
-    film = film_from_recording(found)
-    assert with_strings(film, found) is film
 
 
 def test_strings_are_drawn_when_the_poses_are_written_to_a_file(tmp_path):

@@ -6,7 +6,6 @@ import pytest
 
 import warp_rigid as wr
 from warp_rigid.bench.cases import find_case
-from warp_rigid.checks import listed, suggestion
 from warp_rigid.engine import quantities
 from warp_rigid.runs.assignments import sort_assignments
 from warp_rigid.runs.runner import find_scene
@@ -21,29 +20,6 @@ def sim():
     scene = wr.Scene()
     scene.add_body(wr.Sphere(0.1))
     return wr.Simulator(scene, device="cpu")
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        ("frictoin", "; did you mean friction? All names: help(here)"),
-        ("velocty", "; did you mean velocity_a or velocity_b? All names: help(here)"),
-        ("zzz", "; all names: help(here)"),
-        (["friction"], "; all names: help(here)"),
-        (None, "; all names: help(here)"),
-    ],
-)
-def test_the_nearest_names_come_first(value, text):
-    names = ("friction", "mass", "friction", "velocity_a", "velocity_b")
-    assert (
-        suggestion(value, names, "help(here)").replace("velocity_b or velocity_a", "velocity_a or velocity_b") == text
-    )
-
-
-def test_short_lists_are_part_of_the_message():
-    assert suggestion("drft", ("drift", "toppled")) == "; did you mean drift? All names: drift, toppled"
-    assert listed(["box"] * 8) == ", ".join(["box"] * 8)
-    assert listed(["box"] * 9) == ", ".join(["box"] * 8) + ", ..."
 
 
 @pytest.mark.parametrize(

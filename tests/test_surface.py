@@ -180,17 +180,6 @@ def test_recordings_and_films_show_the_ground_as_it_is(device, tmp_path):
     assert np.abs(first - later).max() > 5
 
 
-def test_a_saved_simulation_goes_on_with_its_waves(device, tmp_path):
-    scene, _ = wave_scene(friction=0.5)
-    sim = Simulator(scene, device=device)
-    sim.step(70)
-    sim.save(tmp_path / "wave.npz")
-    loaded = Simulator.load(tmp_path / "wave.npz", device=device)
-    sim.step(50)
-    loaded.step(50)
-    np.testing.assert_array_equal(sim.get("position"), loaded.get("position"))
-
-
 def test_nothing_falls_asleep_on_ground_that_moves(device):
     """Hardly visible as the motion is, the body on it goes on with it; on ground that rests it falls asleep."""
     for amplitude, sleeps in ((2e-5, False), (0.0, True)):

@@ -5,7 +5,6 @@ import json
 import pytest
 
 from warp_rigid.commands import cli
-from warp_rigid.commands import sweep as command
 from warp_rigid.sweep import read
 
 SCENE = """
@@ -110,15 +109,3 @@ def test_bad_input_is_one_line_and_status_2(run, tmp_path, arguments, message):
     lines = [line for line in err.splitlines() if "simulating on" not in line]
     assert status == 2 and out == "" and len(lines) == 1 and message in lines[0]
     assert [file.name for file in tmp_path.iterdir()] == ["ball.py"]
-
-
-def test_missing_library_is_named_with_its_remedy(run, monkeypatch):
-    import sys
-
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    status, _, err = run("sweep", "ball.py", "--vary", "height=1", "-o", "t.parquet", *SMALL)
-    assert status == 2 and "pip install 'warp-rigid[sweep]'" in err
-
-
-def test_shard_text():
-    assert command._shard("2/3") == (2, 3) and command._shard(None) is None

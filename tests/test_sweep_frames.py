@@ -26,11 +26,6 @@ def test_pandas_and_polars_have_every_row_and_the_units(grid):
     assert grid.to_arrow().field("drift").metadata == {b"unit": b"m"}
 
 
-def test_units_stay_with_a_file(grid, tmp_path):
-    grid.to_parquet(tmp_path / "t.parquet")
-    assert wr.sweep.read(tmp_path / "t.parquet").units == grid.units
-
-
 def test_a_grid_has_a_dimension_for_each_axis(grid):
     xarray = pytest.importorskip("xarray", reason="an optional package")
     found = grid.to_xarray()

@@ -48,11 +48,7 @@ def strips(count, around):
 
 
 VESSELS = {"tray": tray, "cup": cup}
-BODIES = {
-    "ball": wr.Sphere(0.02),
-    "box": wr.Box((0.02, 0.02, 0.02)),
-    "rod": wr.Capsule(0.01, 0.03),
-}
+BODIES = {"ball": wr.Sphere(0.02), "box": wr.Box((0.02, 0.02, 0.02)), "rod": wr.Capsule(0.01, 0.03)}
 
 
 def dropped(device, vessel, body, height, steps=480):

@@ -16,6 +16,11 @@ from warp_rigid.usd.check import check_usd
 
 SMALL = {
     "bunny_pile": {"bodies": 2},
+    "showcase": {"bodies": 30},
+    "terrain": {"bodies": 8},
+    "planet": {"bodies": 16},
+    "carpet": {"bodies": 8},
+    "bone_pile": {"bones": 6},
     "domino_spiral": {"dominoes": 12},
     "wrecking_ball": {"rows": 3, "pyramids": 1},
     "chain": {"links": 12},

@@ -1,14 +1,13 @@
 """The validation: its quick cases hold on every device, and its table, files and exit status tell the truth."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from warp_rigid.commands import cli
-from warp_rigid.validation import impact, report, shock_comparison, suite
+from warp_rigid.validation import report, shock_comparison, suite
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
@@ -29,7 +28,13 @@ def slug(case):
     return f"{case.id} {case.title}"
 
 
-@pytest.mark.parametrize("case", QUICK, ids=slug)
+LONG = ("V05", "V76")
+"""Cases that take longest; tests of grids, and of heaps that land, cover the same in a shorter time."""
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.long] * (case.id in LONG)) for case in QUICK], ids=slug
+)
 def test_quick_case(case, device):
     """Every check is within its tolerance, or is a known miss; a miss that is met must be listed no longer."""
     _, findings = judge(case, device)
@@ -98,19 +103,6 @@ def test_a_failure_outweighs_a_miss_that_is_met():
     assert report.summary([met, failed]) == "2 checks: 0 passed, 1 met although listed as misses, 1 failed"
 
 
-def test_itemized_check_has_a_line_for_every_variant():
-    check = Check("falls", "", lambda subject: subject, OUTCOME, [1, 0, 1], labels=("a", "b", "c"), itemized=True)
-    case = ValidationCase(
-        "V98", "made up", "nobody", (check,), compute=lambda device: [1.0, 1.0, np.nan], on_device=False
-    )
-    lines = report.rows(judge(case, "cpu")[1][0], with_device=False)
-    assert lines == [
-        ["falls (a)", "yes", "yes", "0", "0", "PASS"],
-        ["falls (b)", "yes", "no", "1", "0", "FAIL"],
-        ["falls (c)", "failed", "yes", "1", "0", "FAIL"],
-    ]
-
-
 def test_every_tower_is_judged():
     """Each offset under each setting has a line; the default and two passes from zero follow statics at all of them."""
     case = next(case for case in QUICK if case.id == "V61")
@@ -122,14 +114,6 @@ def test_every_tower_is_judged():
     assert sorted(float(label.split()[0]) for label in (*off.labels, *leans.labels)) == list(offsets)
     assert list(off.reference) == [False, True, True, True] and list(leans.reference) == [True, True]
     assert 3 * len(offsets) + len(off.labels) + len(leans.labels) == len(case.experiments[0].variants)
-
-
-def test_a_bar_in_a_name_does_not_end_a_cell():
-    check = Check("error of |L|", "", lambda subject: subject, relative(0.1), 1.0, labels=("one",))
-    case = ValidationCase("V98", "made up", "nobody", (check,), compute=lambda device: 1.0, on_device=False)
-    heading, _, _, line = report.markdown([judge(case, "cpu")[1][0]]).splitlines()
-    assert r"error of \|L\|" in line
-    assert line.replace(r"\|", "").count("|") == heading.count("|")
 
 
 def test_a_case_that_breaks_is_an_error_and_stops_no_other():
@@ -227,19 +211,6 @@ def test_files_of_a_run(one_run):
     assert "(oracle: Coulomb's law, closed form); 32 contacts, residual " in case and case.endswith(" m/s |")
 
 
-def test_table_shows_value_reference_error_tolerance_and_verdict(capsys, monkeypatch):
-    cases = [made_up([1.0, 0.8], 1.0, relative(0.01), KNOWN), made_up([0.2, 0.1], 0.0, at_most(0.1))]
-    monkeypatch.setattr(suite, "all_cases", lambda quick: cases)
-    assert cli.main(["validate", "--device", "cpu"]) == 1
-    out = capsys.readouterr().out
-    assert "V99  made up" in out and "oracle: nobody" in out and "the reason" in out
-    assert "2 checks: 0 passed, 1 known misses, 1 failed" in out
-    rows = [line.split() for line in out.splitlines() if "length" in line]
-    assert rows[0][1:4] == ["[m]", "(variant", "1;"]
-    assert rows[0][-7:] == ["0.8", "1", "20", "%", "1", "%", "MISS"]
-    assert rows[1][-5:] == ["0.2", "0", "0.2", "0.1", "FAIL"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -272,19 +243,3 @@ def test_comparison_of_shock_alternatives(capsys, monkeypatch):
     out = capsys.readouterr().out
     assert "STANDS" in out and "COLLAPSES" in out and "1 of 2" in out and "2 of 2" in out
     assert cli.main(["validate", "--compare-shock", "-o", "anywhere"]) == 2
-
-
-def test_exact_bounces_are_parabolas():
-    """The dashed curve of V17: apexes e^2n at the closed form's times, and contact in between."""
-    restitution = np.array([1.0, 0.5])
-    experiment = impact.dropped_ball(restitution, 2.0, 1000)
-    time = np.arange(2001) / 1000
-    trace = SimpleNamespace(experiment=experiment, time=time)
-    high = impact.exact_height(trace)
-    first = np.sqrt(2 / 9.81)
-    for env, e in enumerate(restitution):
-        apex = first * (1 + e)
-        np.testing.assert_allclose(
-            np.interp([apex, apex + first * e * (1 + e)], time, high[:, env]), [e**2, e**4], atol=1e-5
-        )
-        np.testing.assert_allclose(np.interp([first, first * (1 + 2 * e)], time, high[:, env]), 0.0, atol=5e-3)

@@ -8,6 +8,7 @@ import viser
 from websockets import Headers
 from websockets.http11 import Response
 
+from warp_rigid.engine.simulator import Simulator
 from warp_rigid.render.film import film_from_recording
 from warp_rigid.runs.recording import record
 from warp_rigid.scene.scene import Scene
@@ -101,7 +102,7 @@ def test_the_camera_stays_above_the_ground():
     scene = Scene()
     scene.add_static(Plane((0, 0, 1), 0.5))
     scene.add_body(Sphere(0.5), position=(0, 0, 3))
-    film = film_from_recording(record(session_of(scene), 0))
+    film = film_from_recording(record(Simulator(scene, device="cpu"), 0))
     assert ground_heights(film) == [0.5]
     page = Page()
     keep_above_ground(page, ground_heights(film))
@@ -110,9 +111,3 @@ def test_the_camera_stays_above_the_ground():
     wide = np.linalg.norm(np.array(page.camera.position) - page.camera.look_at)
     look_from(page.camera, film, 300, 400)
     assert np.linalg.norm(np.array(page.camera.position) - page.camera.look_at) > wide
-
-
-def session_of(scene):
-    from warp_rigid.engine.simulator import Simulator
-
-    return Simulator(scene, device="cpu")

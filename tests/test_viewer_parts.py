@@ -9,8 +9,7 @@ from warp_rigid.render.appearance import corner_normals
 from warp_rigid.render.film import DrawnMesh
 from warp_rigid.rotations import rotate
 from warp_rigid.viewer.instances import creased
-from warp_rigid.viewer.overlays import box_lines, joint_lines
-from warp_rigid.viewer.panel import parameter_range
+from warp_rigid.viewer.overlays import joint_lines
 from warp_rigid.viewer.picking import trace
 from warp_rigid.viewer.slicing import cut
 
@@ -103,18 +102,6 @@ def test_arrows_lie_in_the_plane_and_point_away(axis):
     assert (outward[np.linalg.norm(start, axis=1) > 0.05] > 0.0).all()
 
 
-def test_a_plane_cannot_be_cut():
-    with pytest.raises(ValueError, match="slice"):
-        cut(wr.Plane(), 0, 0.5)
-
-
-def test_box_lines_are_the_twelve_edges():
-    lines = box_lines(np.array([[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]]))
-    lengths = np.sort(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
-    assert lines.shape == (12, 2, 3)
-    assert lengths.tolist() == [1.0] * 4 + [2.0] * 4 + [3.0] * 4
-
-
 def test_creases_get_vertices_of_their_own():
     vertices, faces = wr.Box((1, 1, 1)).surface()
     mesh = DrawnMesh(np.asarray(vertices, np.float32), np.asarray(faces), corner_normals(vertices, faces))
@@ -139,20 +126,6 @@ def test_swept_boxes_hold_the_bodies_and_their_way():
     assert (upper[0, 0] < [1.25, 2.35, 3.45]).all()
     sim.penetration()
     assert sim.swept_boxes()[1, 0, 0] == pytest.approx([1.0, 1.8, 2.7], abs=0.02)
-
-
-@pytest.mark.parametrize(
-    ("default", "expected"),
-    [
-        (10, (0, 30, 1)),
-        (0, (0, 10, 1)),
-        (0.15, (0, 0.45, 0.001)),
-        (0.0, (0, 1.0, 0.01)),
-        (-2.0, (-6.0, 0, 0.01)),
-    ],
-)
-def test_sliders_of_parameters_span_three_times_the_default(default, expected):
-    assert parameter_range(default) == pytest.approx(expected)
 
 
 def test_joints_are_drawn_at_their_anchors_and_along_their_axes():

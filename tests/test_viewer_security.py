@@ -157,18 +157,6 @@ def refused(served, path=None, **options):
     return found.value.response.status_code
 
 
-def test_replayed_attack_from_another_origin_is_refused_and_executes_nothing(served, attack):
-    try:
-        with served.socket(origin="http://attacker.example") as page:
-            page.send(msgspec.msgpack.encode(CAMERA))
-            update(page, served.widget("scene"), str(attack))
-            time.sleep(1.0)
-    except websockets.exceptions.InvalidStatus as error:
-        assert error.response.status_code == 403
-    else:
-        raise AssertionError("the attacker's page was connected")
-
-
 @pytest.mark.parametrize(
     "origin", ["http://attacker.example", "null", "http://127.0.0.1:1", "https://{netloc}", "http://localhost:{port}"]
 )
@@ -273,15 +261,6 @@ def test_value_that_a_control_does_not_offer_changes_nothing(served, page, name,
     served.alive()
 
 
-def test_zero_steps_per_second_is_refused_on_the_page(served, page, caplog):
-    with caplog.at_level(logging.WARNING, logger="warp_rigid"):
-        update(page, served.widget("dt"), "0.0")
-        settle(served, page)
-    assert "Steps per second: must be one of 60, 120, 240, 480, 960, got '0.0'" in caplog.text
-    assert "Traceback" not in caplog.text
-    served.alive()
-
-
 @pytest.mark.parametrize("key", ["props", "update_cb", "removed", "uuid"])
 def test_only_the_value_of_a_control_can_be_changed(served, page, key):
     widget = served.widget("friction")
@@ -332,11 +311,9 @@ def test_message_that_cannot_be_read_ends_its_connection_only(served, page, capl
     assert "Traceback" not in caplog.text and all("\n" not in record.getMessage() for record in lines)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"position": (float("nan"),) * 3}, {"position": (1.0,)}, {"wxyz": ()}, {"look_at": (3.0, 0.0, 1.0)}]
-)
-def test_wrong_camera_does_not_hinder_loading_a_scene(served, page, wrong):
-    page.send(msgspec.msgpack.encode({**CAMERA, **wrong}))
+def test_wrong_cameras_do_not_hinder_loading_a_scene(served, page):
+    for wrong in ({"position": (float("nan"),) * 3}, {"position": (1.0,)}, {"wxyz": ()}, {"look_at": (3.0, 0.0, 1.0)}):
+        page.send(msgspec.msgpack.encode({**CAMERA, **wrong}))
     settle(served, page)
     for name in ("incline", "seesaw"):
         update(page, served.widget("scene"), name)
@@ -356,7 +333,6 @@ def test_wrong_camera_does_not_hinder_loading_a_scene(served, page, wrong):
         {"wxyz": "abcd"},
         {"near": float("nan")},
         {"image_height": 0},
-        {"look_at": CAMERA["position"]},
     ],
 )
 def test_camera_that_no_page_has_is_ignored_in_every_thread(served, page, monkeypatch, wrong):
@@ -372,10 +348,10 @@ def test_camera_that_no_page_has_is_ignored_in_every_thread(served, page, monkey
     assert failed == []
 
 
-@pytest.mark.parametrize("uuid", ["no such control", 3, [], {}, None])
 @pytest.mark.parametrize("updates", [{}, {"value": {}}, [], "value", None])
-def test_malformed_update_is_ignored(served, page, uuid, updates):
-    send(page, type="GuiUpdateMessage", uuid=uuid, updates=updates)
+def test_malformed_update_is_ignored(served, page, updates):
+    for uuid in ("no such control", 3, [], {}, None):
+        send(page, type="GuiUpdateMessage", uuid=uuid, updates=updates)
     settle(served, page)
 
 
@@ -518,12 +494,6 @@ def test_host_that_is_not_of_this_machine_is_one_line(host, capsys):
     assert cli.main(["view", "seesaw", "--device", "cpu", "--host", host]) == 2
     told = capsys.readouterr().err.strip().splitlines()
     assert len(told) == 1 and "host" in told[0] and host in told[0]
-
-
-@pytest.mark.parametrize("port", [0, 65536])
-def test_port_of_a_viewer_is_checked(film, port):
-    with pytest.raises(ValueError, match=r"port: must be in \[1, 65535\]"):
-        FilmViewer(film, port=port)
 
 
 def test_host_beyond_this_machine_is_told(capsys, monkeypatch):

@@ -62,7 +62,7 @@ def test_too_little_time_does_less_and_forgets_old_debts(falling):
 
 
 def test_restart_brings_back_the_start_bit_for_bit():
-    session = Session("bunny_pile", num_envs=2, assignments=["bodies=2"], device="cpu")
+    session = Session("showcase", num_envs=2, assignments=["bodies=3"], device="cpu")
     start = session.sim.get("position").copy()
     assert not np.array_equal(start[0], start[1])
     session.step(30)
@@ -173,13 +173,13 @@ def test_pull_brings_the_held_place_to_the_pointer_and_lets_go(falling):
     corner = np.array([2.1, 0.2, 50.3])
     target = np.array([3.0, 0.5, 51.0])
     falling.pull(0, 2, corner, target)
-    for _ in range(300):
+    for _ in range(150):
         falling.step(8)
     env, held, end = falling.pull_ends
     assert env == 0 and np.array_equal(end, target)
     assert held == pytest.approx(target, abs=0.02)
     falling.move_pull(target + [0.0, 0.0, 1.0])
-    for _ in range(300):
+    for _ in range(150):
         falling.step(8)
     assert falling.pull_ends[1] == pytest.approx(target + [0.0, 0.0, 1.0], abs=0.02)
     falling.release()

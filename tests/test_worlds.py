@@ -319,10 +319,7 @@ def test_a_reset_of_some_environments(device):
             lambda: two_scenes().set("mass", 2.0),
             "mass: ground is not dynamic and has no mass; choose bodies, as in bodies=[...]",
         ),
-        (
-            lambda: two_scenes().set("gravity", -9.81),
-            "gravity: must be vectors of 3 numbers, got -9.81",
-        ),
+        (lambda: two_scenes().set("gravity", -9.81), "gravity: must be vectors of 3 numbers, got -9.81"),
     ],
 )
 def test_errors_are_one_line_that_names_the_field(act, message):

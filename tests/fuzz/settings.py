@@ -113,9 +113,7 @@ def try_command(case: list[tuple], folder: Path) -> None:
 TARGETS = [
     Target("settings", st.dictionaries(st.sampled_from(["dt", *PER_ENVIRONMENT]), VALUES, max_size=3), try_settings),
     Target(
-        "quantities",
-        st.tuples(st.sampled_from([*WRITABLE, "impulse"]), VALUES, INDICES, INDICES, vectors(3)),
-        try_set,
+        "quantities", st.tuples(st.sampled_from([*WRITABLE, "impulse"]), VALUES, INDICES, INDICES, vectors(3)), try_set
     ),
     Target("assignments", st.lists(ASSIGNMENT, min_size=1, max_size=2), try_assignments),
     Target("command line", st.lists(FLAG, max_size=3), try_command),
