@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.oracles import ground_scene
+from tests.oracles import ground_scene, random_pile
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.shapes import Box, Sphere
