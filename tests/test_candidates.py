@@ -171,6 +171,8 @@ def test_a_given_capacity_is_that_of_pairs_and_contacts_alone(device):
     free.step()
     needed = free.counts()
     room = {"pairs": needed["most_pairs"], "contacts": needed["most_contacts"]}
+    with pytest.raises(ValueError, match="^capacity: must be a dictionary"):
+        wr.Simulator(scene, device=device, capacity=room["pairs"])
     fixed = wr.Simulator(scene, device=device, capacity=room, on_overflow="raise")
     (shard,) = fixed._world.shards
     first = shard.stages.grid.room

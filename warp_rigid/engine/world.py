@@ -4,7 +4,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from warp_rigid.checks import one_of, whole_in
+from warp_rigid.checks import one_of, shown, whole_in
 from warp_rigid.engine import pools
 from warp_rigid.engine.batch import Shards, plan
 from warp_rigid.engine.layout import Layout
@@ -104,6 +104,8 @@ class World:
 
 def initial_capacity(layout: Layout, given: Mapping[str, int]) -> dict[str, int]:
     """Capacity for pairs and contacts at the start: as given, else six pairs a dynamic body and six contacts a pair."""
+    if not isinstance(given, Mapping):
+        raise ValueError(f"capacity: must be a dictionary of numbers of pairs and contacts, got {shown(given)}")
     for name in given:
         one_of("capacity", name, pools.NAMES)
     estimate = int(pools.expected_pairs(layout.dynamic_per_env).sum())
