@@ -9,6 +9,7 @@ from tests.fakes import FakeSimulator
 from warp_rigid import Box, Plane, Scene, scenes
 from warp_rigid.runs.runner import Plan, execute, find_scene, plan_run
 from warp_rigid.scenes import Demo, Verdict
+from warp_rigid.scenes.demo import OverlapOutcome
 
 
 def small_scene(boxes: int = 2, seed: int = 7) -> Scene:
@@ -72,6 +73,23 @@ def test_outcome_observes_every_frame_once():
     demo = dataclasses.replace(DEMO, outcome=lambda scene: witness.append(Witness(scene)) or witness[0])
     run_fake(demo)
     np.testing.assert_allclose(witness[0].times, np.arange(1, 7) / 60.0)
+
+
+class Judge(OverlapOutcome):
+    """An outcome that judges the overlap."""
+
+    def verdicts(self, sim):
+        return self.overlap_verdicts(sim, 0.1, 0.1)
+
+
+def test_the_overlap_of_a_frame_is_measured_once(monkeypatch):
+    """It takes most of the time of a run with meshes."""
+    measured = []
+    penetration = FakeSimulator.penetration
+    monkeypatch.setattr(FakeSimulator, "penetration", lambda sim: measured.append(sim.steps) or penetration(sim))
+    _, result = run_fake(dataclasses.replace(DEMO, outcome=Judge))
+    assert measured == [4, 8, 12, 16, 20, 24, 24, 24]  # in each frame, for the verdicts and for the summary
+    assert result.summary["deepest_penetration"] == [0.024, 0.024]
 
 
 def test_summary_holds_verdicts_and_what_is_expected():

@@ -28,6 +28,7 @@ from warp_rigid.scene.camera import Camera, camera_of_text, with_body_index
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
+from warp_rigid.scenes.demo import OverlapOutcome
 from warp_rigid.usd import import_usd
 from warp_rigid.usd.load import film_duration
 from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
@@ -245,13 +246,18 @@ def _run_frames(
         step_frame(sim, per_frame, progress.events)
         seconds.append(time.perf_counter() - start)
         recorder.capture(sim)
-        progress.deepest = np.maximum(progress.deepest, sim.penetration())
         progress.outcome.observe(sim)
+        progress.deepest = np.maximum(progress.deepest, _overlap(progress.outcome, sim))
         progress.frame = frame + 1
         if checkpoints:
             checkpoints.write(plan, progress)
         if on_frame is not None:
             on_frame(frame + 1)
+
+
+def _overlap(outcome: Any, sim: Any) -> np.ndarray:
+    """The present overlap of each environment [m]. An outcome that judges it has just measured it, which takes long."""
+    return outcome.recent[-1][1] if isinstance(outcome, OverlapOutcome) else sim.penetration()
 
 
 def _result(plan: Plan, progress: Progress, seconds: list[float], verdicts: list[Verdict]) -> Result:
