@@ -9,6 +9,7 @@ from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.factor import factorize
+from warp_rigid.kernels.joints.impacts import bounce_pairs, leave_out_bouncing
 from warp_rigid.kernels.joints.initial_impulses import (
     island_of_joint,
     search_energy,
@@ -59,7 +60,8 @@ from warp_rigid.kernels.solve.gauss_seidel import (
 )
 from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
 from warp_rigid.kernels.solve.push_out import ENOUGH, PUSH_OUT_SWEEPS
-from warp_rigid.kernels.solve.schedule import CONVERGED
+from warp_rigid.kernels.solve.restitution import sweep_impacts
+from warp_rigid.kernels.solve.schedule import CONVERGED, forget_visits
 from warp_rigid.kernels.update.integrate import rotational_energy
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -159,6 +161,39 @@ def join_joined_islands(bodies: Bodies, joints: Joints, graph: Graph):
 def is_propagated(env: int, envs: Environments, graph: Graph):
     """Whether the passes of shock propagation are executed in an environment."""
     return graph.converged[env] == 0 and envs.shock_propagation[env] != ShockMode.OFF
+
+
+@wp.kernel
+def solve_impacts_with_joints(
+    dt: float,
+    lanes: int,
+    envs: Environments,
+    constraints: Constraints,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    contacts: Contacts,
+    joints: Joints,
+):
+    """One team per environment: as `solve_impacts`; those of mechanisms that have restitution follow in each sweep."""
+    team = team_of(wp.tid(), lanes)
+    env = team.env
+    if order.color_count[env] == 0:
+        return
+    first = envs.collision_first[env]
+    left = int(envs.collision_iterations[env])
+    forget_visits(envs.first_body[env], envs.first_body[env + 1], team, order, graph)
+    sync_team(team)
+    bounces = leave_out_bouncing(team, order, contacts, joints)
+    turn = int(1)
+    while left > 0:
+        collided = sweep_impacts(turn, dt, first, team, order, graph, motions, contacts)
+        turn += order.color_count[env] + 1
+        if bounces == 1:
+            collided |= bounce_pairs(turn, dt, first, team, constraints, graph, motions, contacts, joints)
+        left = collided * (left - 1)
+        if team.lane == 0:
+            graph.impact_sweeps[env] += collided
 
 
 @wp.kernel

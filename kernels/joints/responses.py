@@ -96,16 +96,23 @@ def store_response(m: int, b: int, team: Team, joints: Joints):
 
 
 @wp.func
-def push_mechanism(m: int, b: int, which: int, team: Team, motions: Motions, joints: Joints):
+def move_mechanism(m: int, b: int, which: int, team: Team, motions: Motions, joints: Joints):
     """Apply what a visit has applied to a body of a mechanism, whose joints stay solved: VELOCITY or PUSH."""
     solve_for(m, b, joints.pushed[b], 0, team, joints)
     if team.lane == 0:
         velocity = free_velocity(b, joints.pushed[b], joints)
         linear = wp.vec3d(velocity[0], velocity[1], velocity[2])
         add_velocity(b, which, linear, wp.vec3d(velocity[3], velocity[4], velocity[5]), motions)
+    sync_team(team)
+    apply_solution(m, which, team, motions, joints)
+
+
+@wp.func
+def push_mechanism(m: int, b: int, which: int, team: Team, motions: Motions, joints: Joints):
+    """As `move_mechanism`; velocities are changed by impulses of the joints, which are added to those of the step."""
+    move_mechanism(m, b, which, team, motions, joints)
     if which == VELOCITY:
         for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
             j = joints.sequence[place]
             joints.total[j] = joints.total[j] - joints.solution[j, 0]
     sync_team(team)
-    apply_solution(m, which, team, motions, joints)

@@ -19,7 +19,7 @@ import warp as wp
 from warp_rigid.kernels.common.arithmetic import quotient
 from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies, store_bodies, with_impulse
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import any_of_team, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
     contact_velocity,
@@ -27,6 +27,7 @@ from warp_rigid.kernels.constraints.contact import (
     read_contact,
     read_impulse,
     set_target_impulse,
+    velocity_change,
 )
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.schedule import (
@@ -87,32 +88,38 @@ def set_targets(
 
 
 @wp.func
-def collide_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
-    """Update one contact: bring the normal velocity to its target, and the slip to zero within the friction cone.
+def next_impact(stored: wp.vec4, share_a: float, share_b: float, row: ContactRecord, pair: BodyPair):
+    """The impulse that brings the normal velocity to its target, and the slip to zero within the friction cone.
 
-    The shares are factors on the inverse masses of the bodies.
+    `stored`: the impulse so far, and the target. The shares are factors on the inverse masses of the bodies.
     """
-    stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
-    target = stored[3]
-    if target <= NO_IMPACT:
-        return pair
-    row = read_contact(c, contacts.rows)
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
     old = first_three(stored)
     slip = contact_velocity(row, pair)
     k_normal = share_a * row.normal_a + share_b * row.normal_b
-    normal = wp.max(old[0] + quotient(target - wp.dot(slip, n), k_normal), 0.0)
+    normal = wp.max(old[0] + quotient(stored[3] - wp.dot(slip, n), k_normal), 0.0)
     gained = normal - old[0]
     sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + gained * (share_a * row.coupling_a + share_b * row.coupling_b)
     k = share_a * row.tangent_a + share_b * row.tangent_b
     before = wp.vec2(old[1], old[2])
     after = friction_impulse(before, sliding, k, row.friction * normal)
-    pair = with_impulse(row.arm_a, row.arm_b, gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v, pair)
-    set_target_impulse(c, wp.vec3(normal, after[0], after[1]), target, contacts)
-    change = k_normal * wp.abs(gained) + (k[0] + k[2]) * (wp.abs(after[0] - old[1]) + wp.abs(after[1] - old[2]))
-    pair.change = wp.max(pair.change, change)
+    return wp.vec3(normal, after[0], after[1])
+
+
+@wp.func
+def collide_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
+    """Update one contact, as `next_impact`."""
+    stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+    if stored[3] <= NO_IMPACT:
+        return pair
+    row = read_contact(c, contacts.rows)
+    new = next_impact(stored, share_a, share_b, row, pair)
+    change = new - first_three(stored)
+    set_target_impulse(c, new, stored[3], contacts)
+    pair = with_impulse(row.arm_a, row.arm_b, world_vector(row.normal, row.tangent, change), pair)
+    pair.change = wp.max(pair.change, velocity_change(change, share_a, share_b, row))
     return pair
 
 
@@ -212,6 +219,21 @@ def solve_impact(
     return 1
 
 
+@wp.func
+def sweep_impacts(
+    turn: int, dt: float, first: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+):
+    """Solve the impacts of all pairs once, in the turns after `turn`. Returns 1 if there was any."""
+    collided = int(0)
+    for color in range(order.color_count[team.env]):
+        turn += 1
+        stride = stride_of_color(color, team)
+        for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
+            collided |= solve_impact(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
+        sync_team(team)
+    return any_of_team(collided, team)
+
+
 @wp.kernel
 def solve_impacts(
     dt: float,
@@ -233,14 +255,8 @@ def solve_impacts(
     sync_team(team)
     turn = int(1)
     while left > 0:
-        collided = int(0)
-        for color in range(order.color_count[env]):
-            turn += 1
-            stride = stride_of_color(color, team)
-            for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
-                collided |= solve_impact(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
-            sync_team(team)
-        collided = any_of_team(collided, team)
+        collided = sweep_impacts(turn, dt, first, team, order, graph, motions, contacts)
+        turn += order.color_count[env]
         left = collided * (left - 1)
         if team.lane == 0:
             graph.impact_sweeps[env] += collided

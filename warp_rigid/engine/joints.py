@@ -208,6 +208,16 @@ class JointStages:
             changed = [step.motions, step.pools.graph, self.arrays]
             self._per_mechanism(self.kernels.start_joints, [step.dt], inputs, changed)
 
+    def solve_impacts(self, otherwise: Any) -> None:
+        """Impacts; mechanisms take part as wholes. `otherwise`: the kernel where there are no joints."""
+        step = self._step
+        inputs = [step.pools.order, step.pools.graph, step.motions, step.pools.contacts]
+        if self.present:
+            inputs = [step.pools.constraints, *inputs, self.arrays]
+            self._per_team(self.kernels.solve_impacts_with_joints, inputs, [step.dt])
+        else:
+            self._per_team(otherwise, inputs, [step.dt])
+
     def warm_start(self, otherwise: Any) -> None:
         """Initial impulses of contacts; those of mechanisms are applied before the first sweep.
 

@@ -268,7 +268,7 @@ class Stages:
     @stage
     def solve_impacts(self) -> None:
         """Restitution: solve impacts."""
-        self._color_by_color(restitution.solve_impacts, [self.dt])
+        self.joints.solve_impacts(restitution.solve_impacts)
         if self.crowded:
             self.heaps.solve_impacts()
 
