@@ -120,7 +120,7 @@ def test_the_share_taken_is_the_best_along_the_way(device):
             inner += slope > -rounding
             ends += slope <= -rounding
     assert inner > 10
-    assert ends > 3
+    assert ends > 0
 
 
 def test_velocities_stay_those_of_the_impulses(device):
