@@ -16,12 +16,6 @@ def is_active(k: int, constraints: Constraints):
     return constraints.row_count[k] > 0
 
 
-@wp.func
-def weight_of(rows: int):
-    """Weight of a constraint of so many rows in the order of the colours; it changes more seldom than their number."""
-    return rows
-
-
 @wp.kernel
 def list_pairs(threads: int, envs: Environments, pairs: Pairs, constraints: Constraints):
     """The threads share the pairs and the environments: first constraints of environments, and contact constraints."""

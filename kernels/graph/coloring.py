@@ -13,7 +13,6 @@ Constraints at a body with all colours in use, such as a tray with many bodies o
 import warp as wp
 
 from warp_rigid.kernels.common.team import any_of_team, lowest_bit, sync_team, team_of
-from warp_rigid.kernels.constraints.records import weight_of
 from warp_rigid.kernels.enums import Motion
 from warp_rigid.kernels.graph.support import is_swept
 from warp_rigid.kernels.schema import COLORS, Bodies, Constraints, Environments, Graph, Order, OrderRecord
@@ -33,20 +32,20 @@ UNCOLORED = wp.constant(-1)
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
 """2^32 divided by the golden ratio, odd: multiplication by it is a bijective hash."""
 
-WEIGHT_FIRST = wp.constant(wp.int64(2**32))
-"""Factor on the weight in a priority: larger than all differences of hashed indices."""
+ROWS_FIRST = wp.constant(wp.int64(2**32))
+"""Factor on the number of rows in a priority: larger than all differences of hashed indices."""
 
 NO_BID = wp.constant(wp.int64(-(2**62)))
 
 
 @wp.func
 def priority(k: int, begin: int, constraints: Constraints):
-    """Priority of a constraint: its weight, then its hashed index within the environment (Fibonacci hashing).
+    """Priority of a constraint: its rows, then its hashed index within the environment (Fibonacci hashing).
 
     Distinct constraints have distinct priorities.
     """
     hashed = wp.int64(int(wp.uint32(k - begin) * GOLDEN))
-    return wp.int64(weight_of(constraints.row_count[k])) * WEIGHT_FIRST + hashed
+    return wp.int64(constraints.row_count[k]) * ROWS_FIRST + hashed
 
 
 @wp.func

@@ -21,7 +21,7 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies
 from warp_rigid.kernels.common.team import Team, add_together, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import direction_and_approach
-from warp_rigid.kernels.constraints.records import is_active, weight_of
+from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import IslandSolver, Motion
 from warp_rigid.kernels.schema import Bodies, Constraints, Contacts, Environments, Graph, Motions
 
@@ -66,13 +66,13 @@ def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constr
 
 @wp.func
 def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, graph: Graph):
-    """Whether an active constraint had the same weight and supports in the last step, at the same index."""
+    """Whether an active constraint had as many rows and the same supports in the last step, at the same index."""
     place = constraints.start_before[env] + k - constraints.start[env]
     last = constraints.last[k]
     if last < 0 or last != place:
         return False
-    weight = weight_of(constraints.row_count[k])
-    return weight_of(constraints.row_count_before[last]) == weight and graph.supports_before[last] == supports
+    same_rows = constraints.row_count_before[last] == constraints.row_count[k]
+    return same_rows and graph.supports_before[last] == supports
 
 
 @wp.kernel

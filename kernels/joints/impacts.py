@@ -39,6 +39,7 @@ from warp_rigid.kernels.solve.restitution import (
     INNER_ITERATIONS,
     NO_IMPACT,
     energy_neutral_share,
+    has_restitution,
     next_impact,
     note_impact,
     set_targets,
@@ -52,12 +53,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 @wp.func
 def can_bounce(entry: OrderRecord, contacts: Contacts, joints: Joints):
     """Whether a pair belongs to a mechanism and has restitution."""
-    if is_visited(entry, joints):
-        for c in range(entry.begin, entry.end):
-            row = read_contact(c, contacts.rows)
-            if row.restitution > 0.0:
-                return True
-    return False
+    return is_visited(entry, joints) and has_restitution(entry.begin, entry.end, contacts)
 
 
 @wp.func

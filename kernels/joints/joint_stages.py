@@ -60,8 +60,8 @@ from warp_rigid.kernels.solve.gauss_seidel import (
 )
 from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
 from warp_rigid.kernels.solve.push_out import ENOUGH, PUSH_OUT_SWEEPS
-from warp_rigid.kernels.solve.restitution import sweep_impacts
-from warp_rigid.kernels.solve.schedule import CONVERGED, forget_visits
+from warp_rigid.kernels.solve.restitution import open_impacts, sweep_impacts
+from warp_rigid.kernels.solve.schedule import CONVERGED
 from warp_rigid.kernels.update.integrate import rotational_energy
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -178,13 +178,11 @@ def solve_impacts_with_joints(
     """One team per environment: as `solve_impacts`; those of mechanisms that have restitution follow in each sweep."""
     team = team_of(wp.tid(), lanes)
     env = team.env
-    if order.color_count[env] == 0:
-        return
     first = envs.collision_first[env]
-    left = int(envs.collision_iterations[env])
-    forget_visits(envs.first_body[env], envs.first_body[env + 1], team, order, graph)
-    sync_team(team)
-    bounces = leave_out_bouncing(team, order, contacts, joints)
+    left = int(open_impacts(team, envs, order, graph))
+    bounces = int(0)
+    if left > 0:
+        bounces = leave_out_bouncing(team, order, contacts, joints)
     turn = int(1)
     while left > 0:
         collided = sweep_impacts(turn, dt, first, team, order, graph, motions, contacts)

@@ -9,10 +9,9 @@ rebound are left to the contact solver, which solves all contacts of an island t
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import load_bodies
-from warp_rigid.kernels.constraints.contact import read_contact
 from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
 from warp_rigid.kernels.schema import Contacts, Environments, Motions
-from warp_rigid.kernels.solve.restitution import after_impact, set_targets
+from warp_rigid.kernels.solve.restitution import after_impact, has_restitution, set_targets
 from warp_rigid.kernels.solve.rounds import (
     list_round_pair,
     read_round_pair,
@@ -21,16 +20,6 @@ from warp_rigid.kernels.solve.rounds import (
 from warp_rigid.kernels.solve.slots import clear_slots, store_change
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def can_rebound(entry: RoundRecord, contacts: Contacts):
-    """Whether any contact of a pair has restitution."""
-    for c in range(entry.begin, entry.end):
-        row = read_contact(c, contacts.rows)
-        if row.restitution > 0.0:
-            return True
-    return False
 
 
 @wp.func
@@ -55,7 +44,7 @@ def find_impacts(
     for k in range(wp.tid(), solved.count[0], threads):
         entry = read_round_pair(k, solved.pairs)
         clear_slots(entry, slots)
-        if rounds.done[0] < envs.collision_iterations[entry.env] and can_rebound(entry, contacts):
+        if rounds.done[0] < envs.collision_iterations[entry.env] and has_restitution(entry.begin, entry.end, contacts):
             pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
             pull = relative_acceleration(entry, envs, motions)
             unit = motions.velocity_unit[entry.body_a]

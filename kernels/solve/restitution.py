@@ -234,6 +234,27 @@ def sweep_impacts(
     return any_of_team(collided, team)
 
 
+@wp.func
+def has_restitution(begin: int, end: int, contacts: Contacts):
+    """Whether any contact of a pair has restitution."""
+    for c in range(begin, end):
+        row = read_contact(c, contacts.rows)
+        if row.restitution > 0.0:
+            return True
+    return False
+
+
+@wp.func
+def open_impacts(team: Team, envs: Environments, order: Order, graph: Graph):
+    """Reset the turns. Returns the maximum number of sweeps, 0 without constraints."""
+    env = team.env
+    if order.color_count[env] == 0:
+        return 0
+    forget_visits(envs.first_body[env], envs.first_body[env + 1], team, order, graph)
+    sync_team(team)
+    return envs.collision_iterations[env]
+
+
 @wp.kernel
 def solve_impacts(
     dt: float,
@@ -247,12 +268,8 @@ def solve_impacts(
     """One team per environment: sweeps of pairwise impacts until there are none, at most `collision_iterations`."""
     team = team_of(wp.tid(), lanes)
     env = team.env
-    if order.color_count[env] == 0:
-        return
     first = envs.collision_first[env]
-    left = int(envs.collision_iterations[env])
-    forget_visits(envs.first_body[env], envs.first_body[env + 1], team, order, graph)
-    sync_team(team)
+    left = int(open_impacts(team, envs, order, graph))
     turn = int(1)
     while left > 0:
         collided = sweep_impacts(turn, dt, first, team, order, graph, motions, contacts)

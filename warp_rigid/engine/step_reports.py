@@ -11,7 +11,13 @@ from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.scene.scene import Motion
 
 COUNTED = (
-    *("impact_sweeps", "impact_rounds", "sweeps", "rounds", "shock_sweeps", "push_out_sweeps", "push_out_rounds"),
+    "impact_sweeps",
+    "impact_rounds",
+    "sweeps",
+    "rounds",
+    "shock_sweeps",
+    "push_out_sweeps",
+    "push_out_rounds",
     "residual",
 )
 """Arrays of the contact graph that `Simulator.stats` reports."""
