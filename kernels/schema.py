@@ -127,12 +127,7 @@ State = layout(
     active=Field(int, "bodies", "", "0: switched off, not simulated"),
     orientation_remainder=Field(wp.vec4, "bodies", "", "rounding error of the orientation"),
     angular_velocity_remainder=Field(wp.vec3, "bodies", "rad/s", "rounding error of the angular velocity"),
-    heap_steps=Field(
-        int,
-        "bodies",
-        "",
-        "steps in which shock propagation was ineffective for its island; negative: steps in free flight",
-    ),
+    flight_steps=Field(int, "bodies", "", "steps in free flight; 0 in contact"),
     fallen=Field(int, "bodies", "", "1: the body was in free flight at some time"),
     health=Field(
         wp.vec4d,
@@ -470,15 +465,15 @@ Graph = layout(
     touching=Field(int, "bodies", "", "active constraints of the body"),
     tied=Field(int, "bodies", "", "1: the body has a joint"),
     island_bodies=Field(int, "bodies", "", "at an island's index: number of its bodies"),
-    heap_votes=Field(
-        int, "bodies", "", "at an island's index: bodies for whose island shock propagation was ineffective"
-    ),
-    heap_steps=Field(
-        int, "bodies", "", "at an island's index: largest number of ineffective steps of the bodies that voted"
+    island_pairs=Field(
+        int, "bodies", "", "at an island's index: its constraints, those between two of its bodies counted twice"
     ),
     needs_sweeps=Field(int, "bodies", "", "at an island's index: 1 if it cannot be solved in rounds"),
     solver=Field(int, "bodies", "", "an IslandSolver: how the body's island is solved; 0 for bodies without an island"),
     swept=Field(int, "envs", "", "1: at least one island with constraints is solved in sweeps"),
+    sweeps_per_level=Field(
+        int, "envs", "", "maximum sweeps of shock propagation for each level; 0: no island is solved with it"
+    ),
     level=Remembered(
         int, "bodies", "", "0 for statics, else 1 + the highest level of the supports; bodies of a cycle share a level"
     ),
@@ -508,9 +503,6 @@ Graph = layout(
     island_low=Field(float, "bodies", "m", "at an island's index: largest coordinate of a body along gravity"),
     island_high=Field(float, "bodies", "m", "at an island's index: largest coordinate of a body against gravity"),
     island_speed=Field(float, "bodies", "1/s", "at an island's index: largest speed of a body, divided by its size"),
-    ineffective_steps=Field(
-        int, "bodies", "", "steps in which shock propagation was ineffective for the body's island"
-    ),
     energy_terms=Field(
         wp.vec2, "pairs", "J", "summands of the line search of each active constraint, in solving order"
     ),
@@ -525,9 +517,6 @@ Graph = layout(
         int, "bodies", "", "colour visit in which restitution or shock propagation last changed the velocity"
     ),
     converged=Field(int, "envs", "", "1: the solver has converged, shock propagation is not needed"),
-    shock_ineffective=Field(
-        int, "envs", "", "1: shock propagation is ineffective for at least one island that is solved in sweeps"
-    ),
     pressed=Field(int, "bodies", "", "1: three contacts with a body below, not on a line, press (rest.py)"),
     stuck=Field(int, "bodies", "", "1: two contacts with a body below stick (rest.py)"),
     restless=Field(int, "bodies", "", "at an island's index: 1 if it is solved in rounds and not at rest (rest.py)"),

@@ -66,13 +66,14 @@ class HandMadeGraph:
         wp.launch(islands.start_islands, rows, inputs=[self.bodies, self.graph], device=self.device)
         inputs = [1, self.bodies, self.constraints, self.graph]
         wp.launch(islands.join_islands, 1, inputs=inputs, device=self.device)
-        state, shapes = schema.State(), schema.Shapes()
-        state.heap_steps = wp.zeros(rows, dtype=int, device=self.device)
+        state, shapes, motions = schema.State(), schema.Shapes(), schema.Motions()
+        state.flight_steps = wp.zeros(rows, dtype=int, device=self.device)
         state.fallen = wp.zeros(rows, dtype=int, device=self.device)
         state.position = wp.zeros(rows, dtype=wp.vec3, device=self.device)
         state.linear_velocity = wp.zeros(rows, dtype=wp.vec3, device=self.device)
         shapes.shapes = wp.zeros(1, dtype=schema.ShapeRecord, device=self.device)
-        inputs = [shapes, self.bodies, self.envs, state, self.graph]
+        motions.role = wp.zeros(rows, dtype=int, device=self.device)
+        inputs = [1 / 240, shapes, self.bodies, self.envs, motions, self.graph, state]
         wp.launch(islands.vote, rows, inputs=inputs, device=self.device)
         shape = (self.count, self.per_env)
         return self.graph.level.numpy().reshape(shape), self.graph.island.numpy().reshape(shape)

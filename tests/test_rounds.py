@@ -13,8 +13,6 @@ from warp_rigid.kernels.solve import rounds
 from warp_rigid.scene.shapes import Box, Sphere
 
 DT = 1 / 120
-LANDED = 1024
-"""Ineffective steps from which islands of any size are solved in rounds, in environments of more than 128 bodies."""
 
 
 def fallen(device, bodies=140, steps=70, **settings):
@@ -162,7 +160,6 @@ def test_impacts_of_a_heap_never_increase_the_energy(device, restitution):
     collided = 0
     for seed in range(20):
         sim.set("linear_velocity", np.random.default_rng(seed).normal(size=(1, len(dynamic), 3)), bodies=dynamic)
-        stages.state.heap_steps.fill_(LANDED)
         find_contacts(stages)
         stages.build_graph()
         before = ContactProblem(stages)
@@ -183,7 +180,6 @@ def test_two_balls_exchange_their_velocities_in_rounds(device):
         scene.add_body(Sphere(0.1), position=(x, 0, 5), restitution=1.0, linear_velocity=(speed, 0, 0))
     scene.gravity = (0.0, 0.0, 0.0)
     sim, stages = opened(scene, device, settings=Settings(dt=DT))
-    stages.state.heap_steps.fill_(LANDED)
     sim.step(4)
     assert sim.stats()["islands_rounds"][0] >= 1
     np.testing.assert_allclose(sim.get("linear_velocity")[0, -2:, 0], [0.0, 1.0], atol=1e-5)
@@ -195,11 +191,9 @@ def test_overlaps_of_a_heap_are_removed_without_velocity(device):
     for k in range(6):
         scene.add_body(Box((0.1,) * 3), position=(0.198 * k, 0, 0.099))
     sim, stages = opened(scene, device, settings=Settings(dt=DT))
-    stages.state.heap_steps.fill_(LANDED)
     sim.step(1)
     assert sim.stats()["push_out_rounds"][0] > 0
     for _ in range(120):
-        stages.state.heap_steps.fill_(LANDED)
         sim.step(1)
     assert sim.penetration()[0] < 1e-4
     assert np.abs(sim.get("linear_velocity")[0, -6:]).max() < 1e-3

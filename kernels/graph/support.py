@@ -82,6 +82,7 @@ def start_graph(graph: Graph):
     graph.active[env] = 0
     graph.altered[env] = 0
     graph.swept[env] = 0
+    graph.sweeps_per_level[env] = 0
     graph.overlapping[env] = 0
     graph.sweeps[env] = 0
     graph.residual[env] = 0.0

@@ -53,7 +53,6 @@ from warp_rigid.kernels.schema import (
     State,
 )
 from warp_rigid.kernels.solve.gauss_seidel import (
-    find_shock_ineffective,
     report_sweeps,
     sweep,
     sweeps_of,
@@ -62,6 +61,7 @@ from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
 from warp_rigid.kernels.solve.push_out import ENOUGH, PUSH_OUT_SWEEPS
 from warp_rigid.kernels.solve.restitution import open_impacts, sweep_impacts
 from warp_rigid.kernels.solve.schedule import CONVERGED
+from warp_rigid.kernels.solve.shock import is_propagated
 from warp_rigid.kernels.update.integrate import rotational_energy
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -157,12 +157,6 @@ def join_joined_islands(bodies: Bodies, joints: Joints, graph: Graph):
         join(a, b, graph.island)
 
 
-@wp.func
-def is_propagated(env: int, envs: Environments, graph: Graph):
-    """Whether the passes of shock propagation are executed in an environment."""
-    return graph.converged[env] == 0 and envs.shock_propagation[env] != ShockMode.OFF
-
-
 @wp.kernel
 def solve_impacts_with_joints(
     dt: float,
@@ -185,7 +179,7 @@ def solve_impacts_with_joints(
         bounces = leave_out_bouncing(team, order, contacts, joints)
     turn = int(1)
     while left > 0:
-        collided = sweep_impacts(turn, dt, first, team, order, graph, motions, contacts)
+        collided = sweep_impacts(turn, dt, first, envs.shock_propagation[env], team, order, graph, motions, contacts)
         turn += order.color_count[env] + 1
         if bounces == 1:
             collided |= bounce_pairs(turn, dt, first, team, constraints, graph, motions, contacts, joints)
@@ -240,8 +234,6 @@ def sweep_with_joints(
     """
     team = team_of(wp.tid(), lanes)
     env = team.env
-    if after_shock == 0:
-        find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
     unit = motions.velocity_unit[envs.first_body[env]]
     touched = any_touched(team, joints)
     starts = after_shock == 0 and touched * envs.warm_starting[env] == 1
@@ -249,7 +241,7 @@ def sweep_with_joints(
         store_before_impulses(envs.first_body[env], envs.first_body[env + 1], team, order, motions, contacts, joints)
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
     if after_shock != AFTER_PASSES:
-        left = sweeps_of(env, after_shock, envs, graph)
+        left = sweeps_of(after_shock, team, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)
     unsolved = int(1)
     done = int(0)

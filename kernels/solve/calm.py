@@ -18,7 +18,7 @@ from warp_rigid.kernels.common.solver_body import START, VELOCITY, inverse_mass_
 from warp_rigid.kernels.common.team import Team, any_of_team, raise_to, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import extrapolate_row, store_start
 from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.graph.islands import MOST_CALM, MOST_IN_MOTION
+from warp_rigid.kernels.graph.islands import MOST_CALM, most_in_motion
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import SWEEPS, solve_constraint
 from warp_rigid.kernels.solve.rounds import momentum
@@ -174,7 +174,7 @@ def sweep_calm_islands(
     goal = float(start)
     least = int(0)
     gained = dt * wp.length(envs.gravity[env])
-    moving = MOST_IN_MOTION * envs.contact_iterations[env]
+    moving = most_in_motion(envs.contact_iterations[env])
     sync_team(team)
     if team.lane == 0:
         graph.residual[env] = float(others) * start

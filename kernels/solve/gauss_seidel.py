@@ -11,7 +11,6 @@ from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import apply_row, solve_row
 from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
-from warp_rigid.kernels.graph.islands import PATIENCE
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import CONVERGED, entry_at, first_of_color, stride_of_color
 
@@ -21,8 +20,8 @@ SWEEPS = wp.get_module("warp_rigid.kernels.solve.gauss_seidel")
 """Module of the kernels that sweep; those in rest.py and calm.py are compiled together with these."""
 
 SWEEPS_PER_DEPTH = wp.constant(2)
-"""Additional sweeps per depth of the contact graph where shock propagation is ineffective and rounds are not possible,
-since load is then transmitted by sweeps alone."""
+"""Additional sweeps per depth of the contact graph where an island is solved by sweeps alone, which then transmit its
+load."""
 
 
 @wp.func
@@ -74,21 +73,19 @@ def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, 
 
 
 @wp.func
-def find_shock_ineffective(first: int, last: int, team: Team, graph: Graph):
-    """Record whether shock propagation is ineffective for any island that is solved in sweeps."""
+def any_without_shock(team: Team, envs: Environments, graph: Graph):
+    """1 if any island of an environment that has contacts is solved by sweeps alone."""
     found = int(0)
-    for b in range(first + team.lane, last, team.lanes):
-        if graph.solver[b] != IslandSolver.ROUNDS and graph.ineffective_steps[b] >= PATIENCE:
+    for b in range(envs.first_body[team.env] + team.lane, envs.first_body[team.env + 1], team.lanes):
+        if graph.touching[b] > 0 and graph.solver[b] == IslandSolver.SWEEPS:
             found = 1
-    found = any_of_team(found, team)
-    if team.lane == 0:
-        graph.shock_ineffective[team.env] = found
-    sync_team(team)
+    return any_of_team(found, team)
 
 
 @wp.func
-def sweeps_of(env: int, after_shock: int, envs: Environments, graph: Graph):
+def sweeps_of(after_shock: int, team: Team, envs: Environments, graph: Graph):
     """Maximum number of sweeps before or after shock propagation."""
+    env = team.env
     iterations = envs.contact_iterations[env]
     if envs.shock_propagation[env] != ShockMode.TWO_PASS:
         return iterations * (1 - after_shock)
@@ -96,7 +93,7 @@ def sweeps_of(env: int, after_shock: int, envs: Environments, graph: Graph):
         return (iterations + 1) / 2
     if graph.converged[env] == 1:
         return 0
-    return iterations / 2 + SWEEPS_PER_DEPTH * graph.max_depth[env] * graph.shock_ineffective[env]
+    return iterations / 2 + SWEEPS_PER_DEPTH * graph.max_depth[env] * any_without_shock(team, envs, graph)
 
 
 @wp.func
@@ -133,10 +130,8 @@ def sweep_constraints(
         if team.lane == 0:
             graph.converged[env] = 1
         return
-    if after_shock == 0:
-        find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
     unit = motions.velocity_unit[envs.first_body[env]]
-    left = sweeps_of(env, after_shock, envs, graph)
+    left = sweeps_of(after_shock, team, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)
     unsolved = int(1)
     done = int(0)

@@ -17,7 +17,7 @@ from warp_rigid.kernels.constraints.contact import blend_row, energy_terms, stor
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
-from warp_rigid.kernels.solve.shock import island_of
+from warp_rigid.kernels.solve.shock import is_propagated, island_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,7 +29,7 @@ FINE = wp.constant(wp.float64(2.0**40))
 @wp.func
 def searched(env: int, envs: Environments, graph: Graph):
     """Whether an environment's shock propagation is followed by a line search."""
-    return envs.shock_propagation[env] == ShockMode.TWO_PASS and graph.converged[env] == 0
+    return envs.shock_propagation[env] == ShockMode.TWO_PASS and is_propagated(env, envs, graph)
 
 
 @wp.kernel
@@ -44,7 +44,7 @@ def store_before_shock(
     """One team per environment: store the velocities and impulses before the passes."""
     team = team_of(wp.tid(), lanes)
     env = team.env
-    if graph.converged[env] == 1 or envs.shock_propagation[env] == ShockMode.OFF:
+    if not is_propagated(env, envs, graph):
         return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]

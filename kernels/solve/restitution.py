@@ -2,9 +2,10 @@
 
 A body at rest has no velocity here, as gravity is added later. Resting bodies therefore do not bounce, and no threshold
 speed is needed. Only approaching contacts that would close within the step take part; resting contacts are left to the
-contact solver. All contacts of a pair are solved together: the target normal velocity of each is -e times its approach
-velocity, normal impulses are not negative, friction stays within its cone, and the impulse of the pair is scaled down
-if it would increase the energy. Pairs are solved one after another, so an impact propagates along a row of spheres.
+contact solver, and so are impacts without restitution in a pile that moves. All contacts of a pair are solved together:
+the target normal velocity of each is -e times its approach velocity, normal impulses are not negative, friction stays
+within its cone, and the impulse of the pair is scaled down if it would increase the energy. Pairs are solved one after
+another, so an impact propagates along a row of spheres.
 
 The velocity of symplectic Euler lags behind by half a step of acceleration, and the impact is solved up to one step
 before the surfaces meet. Reflecting the velocity as it is would change the bounce height by |v| dt. Instead, the
@@ -29,7 +30,8 @@ from warp_rigid.kernels.constraints.contact import (
     set_target_impulse,
     velocity_change,
 )
-from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order
+from warp_rigid.kernels.enums import IslandSolver, ShockMode
+from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
     entry_at,
@@ -187,12 +189,32 @@ def after_impact(
 
 
 @wp.func
+def has_restitution(begin: int, end: int, contacts: Contacts):
+    """Whether any contact of a pair has restitution."""
+    for c in range(begin, end):
+        row = read_contact(c, contacts.rows)
+        if row.restitution > 0.0:
+            return True
+    return False
+
+
+@wp.func
+def is_left_out(entry: OrderRecord, mode: int, graph: Graph, contacts: Contacts):
+    """Whether the impacts of a pair are left to the contact solver: without restitution, in a pile that moves."""
+    solver = wp.max(graph.solver[entry.body_a], graph.solver[entry.body_b])
+    if mode != ShockMode.TWO_PASS or solver != IslandSolver.SWEEPS:
+        return False
+    return not has_restitution(entry.begin, entry.end, contacts)
+
+
+@wp.func
 def solve_impact(
     k: int,
     turn: int,
     solved: int,
     dt: float,
     first: int,
+    mode: int,
     order: Order,
     graph: Graph,
     motions: Motions,
@@ -203,6 +225,8 @@ def solve_impact(
     if is_done(entry, graph):
         return 0
     order.entries[k].visited = solved
+    if is_left_out(entry, mode, graph, contacts):
+        return 0
     a = entry.body_a
     b = entry.body_b
     before = load_bodies(a, b, 1.0, 1.0, motions)
@@ -221,7 +245,15 @@ def solve_impact(
 
 @wp.func
 def sweep_impacts(
-    turn: int, dt: float, first: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+    turn: int,
+    dt: float,
+    first: int,
+    mode: int,
+    team: Team,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    contacts: Contacts,
 ):
     """Solve the impacts of all pairs once, in the turns after `turn`. Returns 1 if there was any."""
     collided = int(0)
@@ -229,19 +261,11 @@ def sweep_impacts(
         turn += 1
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
-            collided |= solve_impact(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
+            collided |= solve_impact(
+                k, turn, solved_turn(color, turn), dt, first, mode, order, graph, motions, contacts
+            )
         sync_team(team)
     return any_of_team(collided, team)
-
-
-@wp.func
-def has_restitution(begin: int, end: int, contacts: Contacts):
-    """Whether any contact of a pair has restitution."""
-    for c in range(begin, end):
-        row = read_contact(c, contacts.rows)
-        if row.restitution > 0.0:
-            return True
-    return False
 
 
 @wp.func
@@ -272,7 +296,7 @@ def solve_impacts(
     left = int(open_impacts(team, envs, order, graph))
     turn = int(1)
     while left > 0:
-        collided = sweep_impacts(turn, dt, first, team, order, graph, motions, contacts)
+        collided = sweep_impacts(turn, dt, first, envs.shock_propagation[env], team, order, graph, motions, contacts)
         turn += order.color_count[env]
         left = collided * (left - 1)
         if team.lane == 0:

@@ -11,9 +11,8 @@ pass a level depends only on the levels below it, in the downward pass only on t
 iterated together, colour by colour, until nothing changes. The levels then converge one after another in as many
 sweeps, instead of about twenty sweeps for each level, and the work of the whole scene is shared by the lanes of a team.
 
-The result is only a search direction; `line_search` computes the step length. In a heap, whose bodies lean on each
-other in all directions, the step length is nearly zero. Islands with a step length below one tenth are therefore solved
-in rounds (rounds.py); shock propagation is tried again in some later steps (islands.py).
+The result is only a search direction; `line_search` computes the step length. In a pile that moves, whose bodies lean
+on each other in all directions, the step length is nearly zero, and shock propagation is omitted (islands.py).
 """
 
 import warp as wp
@@ -49,8 +48,8 @@ wp.set_module_options({"enable_backward": False})
 
 
 SHOCK_SWEEPS = wp.constant(4)
-"""Maximum sweeps of a pass, plus three for each level of depth. With two, a tower of thirty crossed layers of beams
-collapses."""
+"""Maximum sweeps of a pass, besides those for each level of depth (islands.py). With two, a tower of thirty crossed
+layers of beams collapses."""
 
 PAIR_ITERATIONS = wp.constant(4)
 """Maximum rounds over the contacts of a pair per visit, if its upper body has no other support. With one, a stack of 50
@@ -62,6 +61,14 @@ the whole load, and a pyramid of 20 rows is deformed by 1 mm."""
 
 SKIPPED = wp.constant(2**30)
 """Turn of a constraint that is not visited: later than all others."""
+
+
+@wp.func
+def is_propagated(env: int, envs: Environments, graph: Graph):
+    """Whether the passes of shock propagation are executed in an environment."""
+    return (
+        envs.shock_propagation[env] != ShockMode.OFF and graph.converged[env] == 0 and graph.sweeps_per_level[env] > 0
+    )
 
 
 @wp.func
@@ -183,7 +190,7 @@ def solve_levels(
         remains = skip_other_islands(team, order, graph, motions)
     turn = int(1)
     sweeps = int(0)
-    left = any_of_team(remains, team) * (SHOCK_SWEEPS + 3 * graph.max_depth[team.env])
+    left = any_of_team(remains, team) * (SHOCK_SWEEPS + graph.sweeps_per_level[team.env] * graph.max_depth[team.env])
     while left > 0:
         changed = int(0)
         sweeps += 1
@@ -212,7 +219,7 @@ def propagate(
     team = team_of(wp.tid(), lanes)
     env = team.env
     mode = envs.shock_propagation[env]
-    if mode == ShockMode.OFF or repetition >= envs.shock_iterations[env] or graph.converged[env] == 1:
+    if repetition >= envs.shock_iterations[env] or not is_propagated(env, envs, graph):
         return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]

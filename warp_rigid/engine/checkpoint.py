@@ -32,7 +32,7 @@ from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.version import __version__
 
 KIND = "checkpoint"
-VERSION = 12  # raise whenever older files could no longer be read
+VERSION = 13  # raise whenever older files could no longer be read
 
 SCENE_OF = "scene_of"
 

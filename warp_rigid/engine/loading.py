@@ -15,7 +15,6 @@ from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
-    effectiveness,
     gauss_seidel,
     impact_rounds,
     line_search,
@@ -45,7 +44,6 @@ STEP = (
     health,
     predict,
     islands,
-    effectiveness,
     broadphase,
     build_contacts,
     records,

@@ -22,8 +22,8 @@ class Settings:
         dt: time step [s].
         collision_iterations: largest number of sweeps over impacts with restitution.
         contact_iterations: largest number of solver sweeps over contacts, half of them before and half after shock
-            propagation; the numbers of rounds are proportional to it. If shock propagation has been ineffective for 8
-            steps (in heaps), two more sweeps follow for each body on the shortest path to the ground. Structures that
+            propagation; the numbers of rounds are proportional to it. In piles that move, which are solved without
+            shock propagation, two more sweeps follow for each body on the shortest path to the ground. Structures that
             hardly move, such as an arch, are swept further until they converge: up to this number for each body, at
             most 30 times. `Simulator.stats` reports the sweeps.
         shock_iterations: repetitions of shock propagation.

@@ -474,9 +474,9 @@ class Simulator:
 
         - "pairs", "contacts": numbers of pairs and contacts.
         - "islands": number of groups of dynamic bodies that contacts and joints connect. Of these, "islands_shock" were
-          solved with shock propagation, "islands_sweeps" by sweeps alone, because shock propagation is off, ineffective
-          or was not needed, and "islands_rounds" in rounds, as in environments of more than 128 bodies.
-          "islands_asleep" sleep.
+          solved with shock propagation, "islands_sweeps" by sweeps alone, because shock propagation is off, was not
+          needed, or is omitted as in piles that move, and "islands_rounds" in rounds, as in environments of more than
+          128 bodies. "islands_asleep" sleep.
         - "sweeps", "rounds": sweeps and rounds of the contact solver. "impact_sweeps", "impact_rounds", "shock_sweeps",
           "push_out_sweeps", "push_out_rounds": those of impacts, shock propagation and push-out.
         - "accepted_share": share of shock propagation that the line search accepted, the smallest of all islands; 1 if

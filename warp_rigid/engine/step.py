@@ -23,7 +23,6 @@ from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
     calm,
-    effectiveness,
     gauss_seidel,
     line_search,
     push_out,
@@ -248,7 +247,8 @@ class Stages:
         self._per_body(islands.start_islands, [bodies], [graph])
         self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
         self.joints.join_islands()
-        self._per_body(islands.vote, [self.model.shapes, bodies, self.envs, self.state], [graph])
+        voting = [self.dt, self.model.shapes, bodies, self.envs, self.motions]
+        self._per_body(islands.vote, voting, [graph, self.state])
         self._per_body(islands.choose_solver, [self.dt, bodies, self.envs], [graph])
         if self.crowded:
             self.heaps.list_pairs()
@@ -284,8 +284,6 @@ class Stages:
         self._color_by_color(calm.sweep_calm_islands, [self.dt])
         if self.crowded:
             self.heaps.solve()
-        found = [self.dt, self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
-        self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
     def sweep_constraints(self, after_shock: int) -> None:
         """Gauss-Seidel sweeps over all constraints of islands that are not heaps, with their joints."""
