@@ -57,7 +57,8 @@ that have fallen on each other keep moving by 1 cm/s."""
 
 SWEEPS_PER_LEVEL, SWEEPS_PER_LEVEL_OF_PILE = wp.constant(3), wp.constant(2)
 """Maximum sweeps of a pass of shock propagation for each level of depth, besides SHOCK_SWEEPS. With two, towers that
-topple gain 5e-4 of their energy; with one in piles, a bunny rocks by 1 mrad."""
+topple gain 5e-4 of their energy, and a ragdoll that has fallen under a plate keeps moving; with one in piles, a bunny
+rocks by 1 mrad."""
 
 HARDLY = wp.constant(0.05)
 """Largest speed of a body in an island that hardly moves, in sizes of the body per second."""
@@ -331,5 +332,6 @@ def choose_solver(dt: float, bodies: Bodies, envs: Environments, graph: Graph):
     if graph.touching[b] > 0 and solver != IslandSolver.ROUNDS:
         graph.swept[env] = 1
     if graph.touching[b] + graph.tied[b] > 0 and solver == IslandSolver.SHOCK:
-        per_level = wp.where(is_pile(island, graph), SWEEPS_PER_LEVEL_OF_PILE, SWEEPS_PER_LEVEL)
+        loose = is_pile(island, graph) and graph.needs_sweeps[island] == 0
+        per_level = wp.where(loose, SWEEPS_PER_LEVEL_OF_PILE, SWEEPS_PER_LEVEL)
         wp.atomic_max(graph.sweeps_per_level, env, per_level)
