@@ -235,12 +235,6 @@ def height_of(island: int, graph: Graph):
 
 
 @wp.func
-def edge_of(island: int, graph: Graph):
-    """Edge of a cube of as many bodies as an island has, in bodies."""
-    return wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0)
-
-
-@wp.func
 def is_even_pile(island: int, graph: Graph):
     """Whether an island is a pile of bodies of similar mass, and not a stack, in which each body is on one other."""
     if graph.needs_sweeps[island] == 1 or mass_ratio(island, graph) > EVEN:
@@ -269,7 +263,7 @@ def solver_of(island: int, mode: int, crowded: bool, graph: Graph):
 @wp.func
 def most_rounds(island: int, iterations: int, graph: Graph):
     """Maximum number of rounds for an island."""
-    path = wp.max(edge_of(island, graph), height_of(island, graph))
+    path = wp.max(wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0), height_of(island, graph))
     moves = graph.island_speed[island] > HARDLY
     if is_pile(island, graph) and moves:
         return int(float(iterations) * (ROUNDS + ROUNDS_PER_BODY * path))
