@@ -274,6 +274,15 @@ FieldForces = layout(
     ),
 )
 
+SlotRecord = packed_record(
+    "SlotRecord",
+    "The sample of a patch that is furthest in a direction of its tangent plane, or will be deepest.",
+    place=Field(int, "", "", "place of the sample in the list of near samples, -1 if the slot is empty"),
+    score=Field(float, "", "m", "extent of the sample in the slot's direction, less a part of its gap"),
+    gap=Field(float, "", "m", "gap at the start of the step"),
+    left=Field(float, "", "m", "gap at the end of the step if the bodies move on as before"),
+)
+
 Pairs = layout(
     "Pairs",
     "Pairs of bodies with overlapping swept boxes, sorted by first body, and their touching samples.",
@@ -291,13 +300,13 @@ Pairs = layout(
     patch_count=Field(int, "pairs", "", "number of contact patches"),
     patch_normal=Field(wp.vec3, f"pairs, {PATCHES}", "", "normal of a patch in the second body's frame"),
     dormant=Field(int, "pairs", "", "1 + the pair's row in the history if its bodies sleep, 0 otherwise"),
-    slot_score=Field(
-        float, f"pairs, {PAIR_SLOTS}", "m", "extent of the sample in the slot's direction, less a part of its gap"
+    slots=Field(SlotRecord, f"pairs, {PAIR_SLOTS}", "", "samples that may become contacts, by patch and direction"),
+    kept=Field(
+        int,
+        f"pairs, {PAIR_SLOTS}",
+        "",
+        "places of the samples that become contacts in the list of near samples; negative: identity of another contact",
     ),
-    slot_gap=Field(float, f"pairs, {PAIR_SLOTS}", "m", "gap at the start of the step"),
-    slot_left=Field(float, f"pairs, {PAIR_SLOTS}", "m", "gap at the end of the step if the bodies move on as before"),
-    slot_key=Field(int, f"pairs, {PAIR_SLOTS}", "", "identity: 2 * sample + side, -1 if the slot is empty"),
-    kept=Field(int, f"pairs, {PAIR_SLOTS}", "", "identities of the samples that become contacts"),
     searched=Field(
         int,
         "pairs",

@@ -93,18 +93,17 @@ def test_bodies_thrown_into_a_corner_stay_and_rest(device, body, speed):
     assert sim.penetration().max() < 1e-4
 
 
-def test_a_contact_that_is_gone_acts_at_its_body(device):
-    """A disc that tumbles in a corner: a sample of the last step has no point in this one, and its row stays finite."""
+def test_contacts_have_the_points_that_the_search_found(device):
+    """A disc that tumbles in a corner: no sample loses its contact point between the search and the contact row."""
     sim, stages = opened(before_a_corner("disc"), device, num_envs=16)
     throw(sim, 5.0)
-    gone = 0
+    contacts = 0
     for _ in range(40):
         sim.step()
-        rows = stages.pools.contacts.rows.numpy()[: int(sim.stats()["contacts"].sum())]
-        found = rows[stages.pools.contacts.key.numpy()[: len(rows)] == GONE]
-        gone += len(found)
-        assert (np.abs(found["arm_a"]) < 1.0).all() and (np.abs(found["arm_b"]) < 1.0).all()
-    assert gone > 0
+        count = int(sim.stats()["contacts"].sum())
+        assert (stages.pools.contacts.key.numpy()[:count] != GONE).all()
+        contacts += count
+    assert contacts > 100
 
 
 CELLS = np.meshgrid(*2 * [np.linspace(-2, 2, 41)], indexing="ij")

@@ -21,7 +21,7 @@ from warp_rigid.kernels.collide.approach import Touch
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.common.tangents import tangent_of
 from warp_rigid.kernels.common.team import ballot, bits_below, sync_warp
-from warp_rigid.kernels.schema import EXTREME_DIRECTIONS, PATCH_SLOTS, PATCHES, Pairs
+from warp_rigid.kernels.schema import EXTREME_DIRECTIONS, PATCH_SLOTS, PATCHES, Pairs, SlotRecord
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 
 wp.set_module_options({"enable_backward": False})
@@ -117,7 +117,7 @@ def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
             pairs.patch_count[pair] = count + 1
             pairs.patch_normal[pair, count] = normal
         for k in range(lane, SLOTS, lanes):
-            pairs.slot_key[pair, count * SLOTS + k] = -1
+            pairs.slots[pair, count * SLOTS + k].place = -1
         sync_warp(lanes)
     return best
 
@@ -152,7 +152,7 @@ def extent(k: int, x: float, y: float):
 @wp.func
 def offer_sample(
     pair: int,
-    key: int,
+    place: int,
     touch: Touch,
     ranking: Ranking,
     size: float,
@@ -175,12 +175,9 @@ def offer_sample(
             if touch.left < COMES_NEAR * touch.gap:
                 gap = wp.min(gap, ranking.furthest)
             score = extent(k, x, y) - counts * gap
-        slot = patch * SLOTS + k
-        if pairs.slot_key[pair, slot] < 0 or score > pairs.slot_score[pair, slot] + TIE * size * counts:
-            pairs.slot_key[pair, slot] = key
-            pairs.slot_score[pair, slot] = score
-            pairs.slot_gap[pair, slot] = touch.gap
-            pairs.slot_left[pair, slot] = touch.left
+        best = pairs.slots[pair, patch * SLOTS + k]
+        if best.place < 0 or score > best.score + TIE * size * counts:
+            pairs.slots[pair, patch * SLOTS + k] = SlotRecord(place, score, touch.gap, touch.left)
 
 
 @wp.func
@@ -190,20 +187,22 @@ def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
     slots = pairs.patch_count[pair] * SLOTS
     for base in range(0, slots, lanes):
         slot = base + lane
-        key = int(-1)
+        place = int(-1)
         if slot < slots:
-            key = pairs.slot_key[pair, slot]
+            own = pairs.slots[pair, slot]
+            place = own.place
             lowest = float(FAR)
-            for earlier in range(slot - slot % SLOTS, slot):
-                if pairs.slot_key[pair, earlier] >= 0:
-                    lowest = wp.min(lowest, pairs.slot_left[pair, earlier])
-                    if pairs.slot_key[pair, earlier] == pairs.slot_key[pair, slot]:
-                        key = -1
-            if slot % SLOTS == DIRECTIONS and pairs.slot_left[pair, slot] > lowest - 0.1 * CONTACT_DISTANCE * size:
-                key = -1
-        hits = ballot(wp.where(key >= 0, 1, 0), lanes)
-        if key >= 0:
-            pairs.kept[pair, kept + bits_below(hits, lane)] = key
+            for k in range(slot - slot % SLOTS, slot):
+                earlier = pairs.slots[pair, k]
+                if earlier.place >= 0:
+                    lowest = wp.min(lowest, earlier.left)
+                    if earlier.place == own.place:
+                        place = -1
+            if slot % SLOTS == DIRECTIONS and own.left > lowest - 0.1 * CONTACT_DISTANCE * size:
+                place = -1
+        hits = ballot(wp.where(place >= 0, 1, 0), lanes)
+        if place >= 0:
+            pairs.kept[pair, kept + bits_below(hits, lane)] = place
         kept += bits_below(hits, 32)
     return kept
 
@@ -223,6 +222,6 @@ def deepest_gap(pair: int, pairs: Pairs):
     """Gap of the deepest kept sample of a pair [m], at most 0."""
     deepest = float(0.0)
     for slot in range(pairs.patch_count[pair] * SLOTS):
-        if pairs.slot_key[pair, slot] >= 0:
-            deepest = wp.min(deepest, pairs.slot_gap[pair, slot])
+        if pairs.slots[pair, slot].place >= 0:
+            deepest = wp.min(deepest, pairs.slots[pair, slot].gap)
     return deepest

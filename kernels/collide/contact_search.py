@@ -19,11 +19,10 @@ DONE = wp.constant(-1)
 class Search:
     """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
 
-    `evaluations`: number of distances so far, for measurements. `least`: the least of them, at most 0.
+    `least`: the least distance so far, at most 0.
     """
 
     stage: int
-    evaluations: int
     least: float
     query: wp.vec3
     facing: wp.vec3

@@ -61,8 +61,8 @@ def drop_untrusted(pair: int, axis: wp.vec3, depth: float, lane: int, lanes: int
     """Empty the slots of samples that do not point along the axis, or are deeper than the solids."""
     for slot in range(lane, pairs.patch_count[pair] * SLOTS, lanes):
         along = wp.dot(pairs.patch_normal[pair, slot / SLOTS], axis)
-        if along < ALONG or pairs.slot_gap[pair, slot] < -TRUSTED * depth:
-            pairs.slot_key[pair, slot] = -1
+        if along < ALONG or pairs.slots[pair, slot].gap < -TRUSTED * depth:
+            pairs.slots[pair, slot].place = -1
 
 
 @wp.func

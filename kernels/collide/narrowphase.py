@@ -26,9 +26,18 @@ from warp_rigid.kernels.collide.approach import (
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.convex_pairs import cut_by_axis, is_apart
 from warp_rigid.kernels.collide.culling import cluster_is_near, sample_is_near
-from warp_rigid.kernels.collide.near_samples import NearSamples
+from warp_rigid.kernels.collide.near_samples import KEPT, NearSamples
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
-from warp_rigid.kernels.common.team import ballot, bits_below, broadcast_integer, lowest_bit, sync_warp, take_places
+from warp_rigid.kernels.common.team import (
+    ballot,
+    bits_below,
+    broadcast_integer,
+    lowest_bit,
+    next_place,
+    sync_warp,
+    take_places,
+    take_together,
+)
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import smaller_size
 
@@ -83,12 +92,21 @@ def may_be_pushed_together(
 
 
 @wp.func
-def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pairs):
-    """Keep the samples of the last step's contacts, and the data of the search that found them."""
+def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pairs, near: NearSamples):
+    """List the samples of the last step's contacts, and keep the data of the search that found them.
+
+    If they do not fit, the contacts do not fit either, and the step is void.
+    """
     start = history.contact_start[last]
     count = history.contact_start[last + 1] - start
+    begin = near.next.shape[0] + take_together(near.count, KEPT, count)
+    if begin + count > near.key.shape[0]:
+        count = 0
     for k in range(count):
-        pairs.kept[pair, k] = history.key[start + k]
+        key = history.key[start + k]
+        near.pair[begin + k] = pair
+        near.key[begin + k] = key
+        pairs.kept[pair, k] = wp.where(key < 0, key, begin + k)
     pairs.contact_count[pair] = count
     pairs.searched[pair] = edges + 1
     pairs.searched_orientation[pair] = history.searched_orientation[last]
@@ -116,6 +134,7 @@ def keep_contacts(
     envs: Environments,
     history: History,
     pairs: Pairs,
+    near: NearSamples,
 ):
     """The threads share the pairs: keep the samples of pairs that have hardly moved, list the others for the search.
 
@@ -142,11 +161,11 @@ def keep_contacts(
             and has_barely_moved(last, approach, dt, size, bodies, state, motions, history)
             and not may_be_pushed_together(last, a, b, dt, size, state, motions, history)
         ):
-            reuse_contacts(pair, last, edges, history, pairs)
+            reuse_contacts(pair, last, edges, history, pairs, near)
         elif is_apart(pair, last, dt, size, shapes, bodies, state, motions, history, pairs):
             note_no_search(pair, pairs)
         else:
-            pairs.candidates[take_places(pairs.candidate_count, 0, 1)] = pair
+            pairs.candidates[next_place(pairs.candidate_count, 0)] = pair
     finish(own, sharing)
 
 
@@ -161,7 +180,7 @@ def store_batch(pair: int, listed: int, before: int, lane: int, lanes: int, pair
     if lane == 0:
         begin = take_places(near.count, 0, listed)
     begin = broadcast_integer(begin, 0, lanes)
-    if begin < 0 or begin + listed > near.key.shape[0]:
+    if begin < 0 or begin + listed > near.next.shape[0]:
         return before
     if lane == 0:
         near.end[begin] = begin + listed

@@ -7,18 +7,30 @@ from warp_rigid.kernels.declare import Field, layout
 NARROWPHASE = wp.get_module("warp_rigid.kernels.collide.narrowphase")
 """Module of the kernels of the narrow phase. They are compiled together, as they share functions of distances."""
 
+KEPT = wp.constant(1)
+"""Index of the samples of kept contacts in NearSamples.begin and count."""
+
 NearSamples = layout(
     "NearSamples",
-    "Samples that may touch in a step, of all pairs that are searched. A pair has a chain of batches in sample order.",
-    count=Field(int, "1", "", "number of near samples, also of those that do not fit"),
-    first=Field(int, "pairs", "", "first sample of the first batch of a pair, -1 if it has none"),
+    "Samples that may touch in a step: first those of searched pairs, each of which has a chain of batches in sample "
+    "order, then those of the contacts that other pairs keep.",
+    begin=Field(int, "2", "", "number of samples of each kind before this round of the search"),
+    count=Field(int, "2", "", "number of samples of each kind, also of those that do not fit"),
+    first=Field(int, "pairs", "", "first sample of the first batch of a searched pair, -1 if it has none"),
     next=Field(int, "near_samples", "", "at the first sample of a batch: that of the pair's next batch, or -1"),
     end=Field(int, "near_samples", "", "at the first sample of a batch: one past its last sample"),
-    pair=Field(int, "near_samples", "", "the sample's pair"),
-    key=Field(int, "near_samples", "", "identity: 2 * sample + side"),
-    position=Field(wp.vec3, "near_samples", "m", "contact point in the frame of the pair's second body"),
-    normal=Field(wp.vec3, "near_samples", "", "contact normal in the frame of the pair's second body"),
-    gap=Field(float, "near_samples", "m", "distance at the start of the step; FAR if the sample does not touch"),
+    pair=Field(int, "near_samples + contacts", "", "the sample's pair"),
+    key=Field(
+        int,
+        "near_samples + contacts",
+        "",
+        "identity of the contact: 2 * sample + side; negative if it belongs to no sample",
+    ),
+    position=Field(wp.vec3, "near_samples + contacts", "m", "contact point in the world frame"),
+    normal=Field(wp.vec3, "near_samples + contacts", "", "contact normal in the world frame"),
+    gap=Field(
+        float, "near_samples + contacts", "m", "distance at the start of the step; FAR if the sample does not touch"
+    ),
     left=Field(float, "near_samples", "m", "distance at the end of the step if the bodies move on as before"),
     closing=Field(int, "near_samples", "", "1 if the gap may close in the step"),
 )

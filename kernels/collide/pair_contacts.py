@@ -67,13 +67,16 @@ def broadcast_touch(touch: Touch, lane: int, lanes: int):
 
 
 @wp.func
-def touch_at(k: int, end: int, near: NearSamples):
-    """The contact point of a near sample; its gap is FAR if there is none, and beyond the end of the batch."""
+def touch_at(k: int, end: int, b: int, state: State, near: NearSamples):
+    """The contact point of a near sample in the frame of body b.
+
+    Its gap is FAR if there is none, and beyond the end of the batch.
+    """
     touch = Touch()
     touch.gap = FAR
     if k < end:
-        touch.position = near.position[k]
-        touch.normal = near.normal[k]
+        touch.position = wp.quat_rotate_inv(state.orientation[b], near.position[k] - state.position[b])
+        touch.normal = wp.quat_rotate_inv(state.orientation[b], near.normal[k])
         touch.left = near.left[k]
         touch.closing = near.closing[k]
         if touch.closing != CROSSED:
@@ -83,7 +86,7 @@ def touch_at(k: int, end: int, near: NearSamples):
 
 @wp.func
 def offer_touches(
-    pair: int, key: int, touch: Touch, ranking: Ranking, size: float, lane: int, lanes: int, pairs: Pairs
+    pair: int, place: int, touch: Touch, ranking: Ranking, size: float, lane: int, lanes: int, pairs: Pairs
 ):
     """Offer the contact points of all lanes to the slots of their patches, in the order of the lanes."""
     hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
@@ -91,8 +94,7 @@ def offer_touches(
         k = lowest_bit(hits)
         hits = hits & (hits - wp.uint32(1))
         hit = broadcast_touch(touch, k, lanes)
-        own_key = broadcast_integer(key, k, lanes)
-        offer_sample(pair, own_key, hit, ranking, size, lane, lanes, pairs)
+        offer_sample(pair, broadcast_integer(place, k, lanes), hit, ranking, size, lane, lanes, pairs)
 
 
 @wp.func
@@ -194,7 +196,7 @@ def add_contact(pair: int, key: int, kept: int, lane: int, pairs: Pairs):
 
 @wp.func
 def offer_near_samples(
-    pair: int, ranking: Ranking, size: float, lane: int, lanes: int, near: NearSamples, pairs: Pairs
+    pair: int, ranking: Ranking, size: float, lane: int, lanes: int, state: State, near: NearSamples, pairs: Pairs
 ):
     """Offer all touching samples of a pair to the slots of their patches.
 
@@ -205,9 +207,9 @@ def offer_near_samples(
     while batch >= 0:
         end = near.end[batch]
         for start in range(batch, end, lanes):
-            touch = touch_at(start + lane, end, near)
+            touch = touch_at(start + lane, end, pairs.body_b[pair], state, near)
             closing |= touch.closing
-            offer_touches(pair, near.key[wp.min(start + lane, end - 1)], touch, ranking, size, lane, lanes, pairs)
+            offer_touches(pair, start + lane, touch, ranking, size, lane, lanes, pairs)
         batch = near.next[batch]
     crossed = wp.where(ballot(closing & CROSSED, lanes) == wp.uint32(0), 0, CROSSED)
     return crossed + wp.where(ballot(closing & 1, lanes) == wp.uint32(0), 0, 1)
@@ -251,7 +253,7 @@ def part(
         pairs.axis[pair] = axis
         pairs.searched[pair] = 0
         if deepest >= 0:
-            pairs.kept[pair, 0] = near.key[deepest]
+            pairs.kept[pair, 0] = deepest
     sync_warp(lanes)
     return wp.where(deepest >= 0, 1, 0)
 
@@ -282,7 +284,7 @@ def choose(
     ranking = ranking_of(travel(a, b, dt, 0.0, state, motions), turn, size, corners)
     if may_have_many_corners(shapes, bodies.shape[a]) or may_have_many_corners(shapes, bodies.shape[b]):
         ranking.load = load_between(a, b, b, state, motions)
-    offered = offer_near_samples(pair, ranking, size, lane, lanes, near, pairs)
+    offered = offer_near_samples(pair, ranking, size, lane, lanes, state, near, pairs)
     closing = offered & 1
     sync_warp(lanes)
     solid = edges == 1 and is_solid(shapes, bodies.shape[a]) and is_solid(shapes, bodies.shape[b])

@@ -239,7 +239,6 @@ def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
         d = contact_distance(shapes, shape, search.query, search.facing, wp.where(to_place, -FAR, exact_below))
         if to_place:
             d = ball_distance_to_places(shapes, part, search.query, d, radius, approach.searched, choice)
-        search.evaluations += 1
         search.least = wp.min(search.least, d[3])
         if search.stage >= SLIDE_END:
             search = slide_next(search, d, size)

@@ -19,7 +19,7 @@ from warp_rigid.kernels.collide.contact_search import Search, gradient
 from warp_rigid.kernels.collide.course import Course, closing_speed, curvature_of, place_at, placed_course
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.edge_search import OPPOSED
-from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
+from warp_rigid.kernels.collide.near_samples import KEPT, NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
 from warp_rigid.kernels.collide.samples import place_sample
 from warp_rigid.kernels.common.capacity import usable_count
@@ -208,6 +208,7 @@ def touching(
     side: int,
     approach: Approach,
     parting: bool,
+    kept: bool,
     dt: float,
     size: float,
     shapes: Shapes,
@@ -215,18 +216,23 @@ def touching(
     state: State,
     motions: Motions,
 ):
-    """The contact point of a near sample in the second body's frame; its gap is FAR if there is none."""
+    """The contact point of a near sample; its gap is FAR if there is none.
+
+    `kept`: the sample belongs to a contact that the pair keeps, without a search.
+    """
     result = Touch()
     result.gap = FAR
     placed = place_near_sample(s, approach, parting, shapes)
+    touch = touch_of(placed, side, approach.other, state)
     if placed.crossing == 1:
-        if placed.distance < -hidden_depth(approach.own_shape, approach.shape, shapes):
-            result.gap = placed.distance
+        if not kept and placed.distance < -hidden_depth(approach.own_shape, approach.shape, shapes):
+            result = touch
             result.closing = CROSSED
         return result
+    if kept:
+        return touch
     if placed.distance >= wp.where(parting, 0.0, approach.reach):
         return result
-    touch = touch_of(placed, side, approach.other, state)
     a = wp.where(side == 0, approach.own, approach.other)
     b = wp.where(side == 0, approach.other, approach.own)
     result.left = closing_gap(touch, a, b, dt, state, motions) - approach.rise
@@ -246,8 +252,8 @@ def touching(
         if passes_by(s, placed, fall, approach, dt, size, shapes, bodies, state, motions):
             result.closing = 0
             return result
-    result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
-    result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
+    result.position = touch.position
+    result.normal = touch.normal
     result.gap = touch.gap
     return result
 
@@ -266,26 +272,38 @@ def touch_near_samples(
     near: NearSamples,
     wanted: wp.array2d[int],
 ):
-    """The threads share the near samples: find their contact points. Record the number of samples.
+    """The threads share the near samples of a round: find their contact points. Record the number of samples.
 
     If there are more than fit, the step is void, and no sample touches.
     """
     own = claim(wp.tid(), sharing)
-    count = usable_count(own, which, near.count[0], near.key.shape[0], turn, wanted)
-    rows = rows_of(own, count, sharing)
-    for k in range(rows.first, rows.end, rows.stride):
+    count = usable_count(own, which, near.count[0], near.next.shape[0], turn, wanted)
+    searched = wp.max(count - near.begin[0], 0)
+    usable = wp.min(near.count[KEPT], near.key.shape[0] - near.next.shape[0])
+    rows = rows_of(own, searched + usable - near.begin[KEPT], sharing)
+    for row in range(rows.first, rows.end, rows.stride):
+        k = near.begin[0] + row
+        if row >= searched:
+            k = near.next.shape[0] + near.begin[KEPT] + row - searched
+        if near.key[k] < 0:
+            continue
         pair = near.pair[k]
         side = near.key[k] % 2
         size = smaller_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
         approach = approach_from(side, pair, dt, size, shapes, bodies, state, motions, pairs)
         parting = is_parting(pair, shapes, bodies, pairs)
-        touch = touching(near.key[k] / 2, side, approach, parting, dt, size, shapes, bodies, state, motions)
+        kept = row >= searched
+        if kept:
+            approach.reach = FAR
+            approach.searched = FAR
+        touch = touching(near.key[k] / 2, side, approach, parting, kept, dt, size, shapes, bodies, state, motions)
         if parting:
-            touch.normal = pairs.axis[pair]
+            touch.normal = wp.quat_rotate(state.orientation[pairs.body_b[pair]], pairs.axis[pair])
             touch.closing = 1
         near.position[k] = touch.position
         near.normal[k] = touch.normal
         near.gap[k] = touch.gap
-        near.left[k] = touch.left
-        near.closing[k] = touch.closing
+        if not kept:
+            near.left[k] = touch.left
+            near.closing[k] = touch.closing
     finish(own, sharing)

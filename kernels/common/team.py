@@ -179,6 +179,27 @@ def next_place(counts: wp.array[int], index: int) -> int:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    unsigned active = __activemask();
+    unsigned lane = threadIdx.x & 31u, leader = __ffs(active) - 1;
+    int before = 0, sum = 0, first = 0;
+    for (int bit = 0; __any_sync(active, value >> bit); ++bit) {
+        unsigned ones = __ballot_sync(active, (value >> bit) & 1);
+        before += __popc(ones & ((1u << lane) - 1u)) << bit;
+        sum += __popc(ones) << bit;
+    }
+    if (lane == leader) { first = atomicAdd(counts.data + index, sum); }
+    return __shfl_sync(active, first, leader) + before;
+#else
+    return __atomic_fetch_add(counts.data + index, value, __ATOMIC_RELAXED);
+#endif
+""")
+def take_together(counts: wp.array[int], index: int, value: int) -> int:
+    """As `take_places`, for values >= 0; the lanes of a warp add at once. Slow if the lanes diverge."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return atomicAdd(counts.data + index, value);
 #else
     return __atomic_fetch_add(counts.data + index, value, __ATOMIC_RELAXED);

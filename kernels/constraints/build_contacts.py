@@ -2,13 +2,12 @@
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import Touch, approach_of, load_between, touch_of
+from warp_rigid.kernels.collide.approach import Touch
 from warp_rigid.kernels.collide.convex_pairs import touch_along
 from warp_rigid.kernels.collide.distance import FAR
-from warp_rigid.kernels.collide.near_samples import NARROWPHASE
+from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER, center_inside
 from warp_rigid.kernels.collide.parting import is_parting
-from warp_rigid.kernels.collide.samples import place_sample
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of
 from warp_rigid.kernels.common.tangents import tangent_of, world_vector
@@ -151,22 +150,28 @@ def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contact
 
 
 @wp.func
-def touch_again(key: int, pair: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
-    """Evaluate the contact point of a known sample of a pair again."""
+def kept_touch(
+    place: int,
+    pair: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+    near: NearSamples,
+):
+    """The contact point of a near sample, or of a contact that belongs to no sample."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    if key == BY_AXIS:
+    if place == BY_AXIS:
         return touch_along(pairs.axis[pair], a, b, shapes, bodies, state)
-    if key <= BY_CENTER:
-        return center_inside(BY_CENTER - key, a, b, shapes, bodies, state, motions)
-    side = key % 2
-    approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), FAR, bodies, state)
-    parting = is_parting(pair, shapes, bodies, pairs)
-    weight = wp.where(parting, 0.0, 1.0)
-    approach.load = load_between(a, b, approach.other, state, motions)
-    placed = place_sample(key / 2, approach, weight, shapes)
-    touch = touch_of(placed, side, approach.other, state)
-    if parting:
+    if place < 0:
+        return center_inside(BY_CENTER - place, a, b, shapes, bodies, state, motions)
+    touch = Touch()
+    touch.position = near.position[place]
+    touch.normal = near.normal[place]
+    touch.gap = near.gap[place]
+    if is_parting(pair, shapes, bodies, pairs):
         touch.normal = wp.quat_rotate(state.orientation[b], pairs.axis[pair])
     return touch
 
@@ -211,10 +216,11 @@ def build_contacts(
     motions: Motions,
     envs: Environments,
     pairs: Pairs,
+    near: NearSamples,
     history: History,
     contacts: Contacts,
 ):
-    """The teams share the pairs: build contact rows from the kept samples."""
+    """The teams share the pairs: build contact rows from the contact points of the kept samples."""
     own = claim(wp.tid() / lanes, sharing)
     rows = rows_of(own, pairs.start[pairs.start.shape[0] - 1], sharing)
     for pair in range(rows.first, rows.end, rows.stride):
@@ -228,8 +234,11 @@ def build_contacts(
         rules = wp.vec2i(envs.friction_rule[env], envs.restitution_rule[env])
         for k in range(wp.tid() % lanes, count, lanes):
             c = start + k
-            touch = touch_again(pairs.kept[pair, k], pair, shapes, bodies, state, motions, pairs)
-            contacts.key[c] = pairs.kept[pair, k]
+            place = pairs.kept[pair, k]
+            touch = kept_touch(place, pair, shapes, bodies, state, motions, pairs, near)
+            contacts.key[c] = place
+            if place >= 0:
+                contacts.key[c] = near.key[place]
             if touch.gap >= FAR:
                 touch.position = motions.center[a]
                 pairs.searched[pair] = 0

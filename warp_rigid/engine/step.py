@@ -211,13 +211,14 @@ class Stages:
         """Narrow phase: find touching samples, reduce them, build contact rows, and list all constraints."""
         pairs, contacts = self.pools.pairs, self.pools.contacts
         pairs.contact_count.zero_()
+        self.pools.near.count.zero_()
         self._search_contacts(woken=0)
         if self.sleeping:
             self._per_pair(sleep.wake_touched, [pairs], [self.sleep_state])
             self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
-        size, inputs = self.pools.sizes["pairs"], [*self.moving, self.envs, pairs, self.pools.history]
+        size, inputs = self.pools.sizes["pairs"], [*self.moving, self.envs, pairs, self.pools.near, self.pools.history]
         with self.parts.shared():
             self.share(build_contacts.build_contacts, size, inputs, [contacts], lanes=teams.BUILD_LANES)
         self._per_constraint(records.list_pairs, [self.envs, pairs], [self.pools.constraints])
@@ -507,10 +508,10 @@ class Stages:
         pools, pairs, near = self.pools, self.pools.pairs, self.pools.near
         searched = [*self.moving, self.envs]
         pairs.candidate_count.zero_()
-        near.count.zero_()
+        wp.copy(near.begin, near.count)
         size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.search.listing
         with self.parts.shared():
-            self.share(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs], before=[woken])
+            self.share(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs, near], before=[woken])
             self.share(narrowphase.list_near_samples, size, searched, [pairs, near], lanes=listing)
             inputs, outputs = [*self.moving, pairs, pools.turn], [near, pools.wanted]
             self.share(touches.touch_near_samples, samples, inputs, outputs, before=[NEAR_SAMPLES])
