@@ -7,7 +7,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdPhysics
 
 import warp_rigid as wr
-from warp_rigid.files.polygons import triangulated
+from warp_rigid.files.polygons import triangles_of_corners
 from warp_rigid.scene.shapes import Mesh
 
 U_OUTLINE = [(3, -3), (3, 3), (1, 3), (1, -2), (-1, -2), (-1, 3), (-3, 3), (-3, -3)]
@@ -119,7 +119,7 @@ def test_random_outlines_in_random_planes():
         outline = (generator.uniform(0.1, 1.0, count) * [np.cos(angle), np.sin(angle)]).T
         turn = np.linalg.qr(generator.normal(size=(3, 3)))[0]
         points = np.column_stack([outline, np.zeros(count)]) @ turn.T + generator.uniform(-3, 3, 3)
-        faces = triangulated(points, np.arange(count), np.array([count]))
+        faces = triangles_of_corners(points, np.arange(count), np.array([count]))
         a, b, c = (points[faces[:, k]] for k in range(3))
         areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
         assert faces.shape == (count - 2, 3) and areas.sum() == pytest.approx(area_of(outline), rel=1e-9)
@@ -131,7 +131,7 @@ def test_polygons_that_cross_themselves_keep_their_sides():
     for _ in range(500):
         count = int(generator.integers(4, 10))
         points = np.column_stack([generator.integers(0, 4, (count, 2)), np.zeros(count)]).astype(float)
-        faces = triangulated(points, np.arange(count), np.array([count]))
+        faces = triangles_of_corners(points, np.arange(count), np.array([count]))
         net = np.zeros((count, count), dtype=int)
         np.add.at(net, (faces, np.roll(faces, -1, axis=1)), 1)
         around = np.roll(np.eye(count, dtype=int), 1, axis=1)

@@ -127,7 +127,7 @@ def test_cavities_survive_and_inverted_bodies_do_not():
     assert hollow.repairs == [] and hollow.volume == pytest.approx(0.488)
     vertices, faces = hollow_cube()
     assert repaired(vertices, faces[:, ::-1]).volume == pytest.approx(0.488)
-    inward = cube(inward=True)
+    inward = cube()[0], cube()[1][:, ::-1]
     pair = np.concatenate([cube()[0], inward[0] * 0.5 + 3.0])
     both = repaired(pair, np.concatenate([cube()[1], inward[1] + 8]))
     assert both.repairs == ["turned 12 faces of an inverted surface outward"]

@@ -70,7 +70,7 @@ class Thread:
         return np.concatenate(corners)
 
 
-def bolt(thread: Thread, length: float, head_height: float, across_flats: float, sdf_resolution: int = 64) -> Mesh:
+def bolt(thread: Thread, length: float, head_height: float, across_flats: float) -> Mesh:
     """A bolt whose thread begins at z = 0 and whose hexagonal head is below.
 
     Args:
@@ -78,22 +78,20 @@ def bolt(thread: Thread, length: float, head_height: float, across_flats: float,
         length: of the thread [m].
         head_height: of the head [m].
         across_flats: width of the head [m].
-        sdf_resolution: as in `Mesh`.
     """
     head = _hexagon(across_flats, head_height).translate((0.0, 0.0, -head_height))
-    return _mesh(head + _screw(thread.section(), thread, length), sdf_resolution)
+    return _mesh(head + _screw(thread.section(), thread, length))
 
 
-def nut(thread: Thread, height: float, across_flats: float, sdf_resolution: int = 64) -> Mesh:
+def nut(thread: Thread, height: float, across_flats: float) -> Mesh:
     """A hexagonal nut between z = 0 and `height`, which fits a bolt at the same pose, turned and raised alike.
 
     Args:
         thread: dimensions of the bolt.
         height: along the axis [m].
         across_flats: its width [m].
-        sdf_resolution: as in `Mesh`.
     """
-    return _mesh(_hexagon(across_flats, height) - _screw(thread.section(of_nut=True), thread, height), sdf_resolution)
+    return _mesh(_hexagon(across_flats, height) - _screw(thread.section(of_nut=True), thread, height))
 
 
 def _screw(section, thread, length):
@@ -120,6 +118,6 @@ def _hexagon(across_flats, height):
     return prism ^ manifold3d.Manifold.revolve(manifold3d.CrossSection([np.array(profile, float)]), 48)
 
 
-def _mesh(solid, sdf_resolution):
+def _mesh(solid):
     data = solid.to_mesh64()
-    return Mesh(np.array(data.vert_properties)[:, :3], np.array(data.tri_verts, dtype=np.int32), sdf_resolution)
+    return Mesh(np.array(data.vert_properties)[:, :3], np.array(data.tri_verts, dtype=np.int32))

@@ -141,7 +141,7 @@ def brick_tower(count: int, sectors: int = 60) -> tuple[np.ndarray, np.ndarray]:
     return position, np.stack([flat, flat, np.sin(half), np.cos(half)], axis=1)
 
 
-def voussoir(stones: int, radius: float, thickness: float, depth: float, sdf_resolution: int = 64) -> Mesh:
+def voussoir(stones: int, radius: float, thickness: float, depth: float = 1.0) -> Mesh:
     """A stone of a semicircular arch, about the centre of its middle radius; z points outwards, x along the arch.
 
     Args:
@@ -149,7 +149,6 @@ def voussoir(stones: int, radius: float, thickness: float, depth: float, sdf_res
         radius: mean radius of the arch [m].
         thickness: of the arch, radially [m].
         depth: along the axis of the arch [m].
-        sdf_resolution: as in `Mesh`.
     """
     half = 0.5 * np.pi / stones
     corners = [
@@ -160,20 +159,17 @@ def voussoir(stones: int, radius: float, thickness: float, depth: float, sdf_res
     ]
     faces = [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3)]
     faces += [(0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)]
-    return Mesh(np.array(corners), np.array(faces), sdf_resolution)
+    return Mesh(np.array(corners), np.array(faces))
 
 
-def add_arch(
-    scene: Scene, stones: int, radius: float, thickness: float, depth: float = 1.0, **coefficients: Any
-) -> list[int]:
-    """Add a semicircular arch of equal stones that stands on the plane z = 0, about the y axis.
+def add_arch(scene: Scene, stones: int, radius: float, thickness: float, **coefficients: Any) -> list[int]:
+    """Add a semicircular arch of equal stones of 1 m along y that stands on the plane z = 0, about the y axis.
 
     Args:
         scene: the scene.
         stones: number of stones.
         radius: mean radius [m].
         thickness: radial thickness [m].
-        depth: along y [m].
         **coefficients: as in `add_bodies`.
 
     Returns:
@@ -183,7 +179,7 @@ def add_arch(
     flat = np.zeros(stones)
     positions = radius * np.stack([np.sin(angle), flat, np.cos(angle)], axis=1)
     orientations = np.stack([flat, np.sin(0.5 * angle), flat, np.cos(0.5 * angle)], axis=1)
-    return add_bodies(scene, voussoir(stones, radius, thickness, depth), positions, orientations, **coefficients)
+    return add_bodies(scene, voussoir(stones, radius, thickness), positions, orientations, **coefficients)
 
 
 def add_ball_pyramid(scene: Scene, base: int, radius: float, **coefficients: Any) -> list[int]:

@@ -33,13 +33,6 @@ FLAT = 1e-9
 """Area of a triangle up to which its corners are on a line, relative to that of its polygon."""
 
 
-def triangulated(
-    points: np.ndarray, corners: np.ndarray, sides: np.ndarray, names: tuple[str, str] = ("indices", "sizes of faces")
-) -> np.ndarray:
-    """Divide polygons into triangles (m, 3) of points; see `triangles_of_corners`."""
-    return corners[triangles_of_corners(points, corners, sides, names)]
-
-
 def triangles_of_corners(
     points: np.ndarray, corners: np.ndarray, sides: np.ndarray, names: tuple[str, str] = ("indices", "sizes of faces")
 ) -> np.ndarray:

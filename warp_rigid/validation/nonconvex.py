@@ -39,14 +39,14 @@ def cases(quick: bool) -> Cases:
     return [*listed, random_overlaps(2048), bypass(1 / 240), bypass(0.05)]
 
 
-def spike_mesh(cells=64) -> Mesh:
+def spike_mesh() -> Mesh:
     """Pyramid with a unit base and height 3, tip up."""
-    return Mesh(*solids.spike(), sdf_resolution=cells)
+    return Mesh(*solids.spike())
 
 
-def wedge_mesh(cells=64) -> Mesh:
+def wedge_mesh() -> Mesh:
     """Prism with base 1 x 2 and height 3, edge up."""
-    return Mesh(*solids.wedge(), sdf_resolution=cells)
+    return Mesh(*solids.wedge())
 
 
 OVERTURNED = orientation_about((0, 1, 0), 180.0)

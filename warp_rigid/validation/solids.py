@@ -2,17 +2,18 @@
 
 import numpy as np
 
+from warp_rigid.scene.shapes import tessellation
+
 Triangles = tuple[np.ndarray, np.ndarray]
 """Vertices (n, 3) and faces (m, 3)."""
 
 
-def star_prism(points=5, outer=1.0, inner=0.3, thickness=0.2) -> Triangles:
-    """A star with fanned caps: vertices, faces."""
-    count = 2 * points
-    angle = np.pi * np.arange(count) / points
-    radius = np.where(np.arange(count) % 2 == 0, outer, inner)
+def star_prism() -> Triangles:
+    """A star of five points with fanned caps, radii 1 and 0.3, thickness 0.2."""
+    count, half = 10, 0.1
+    angle = np.pi * np.arange(count) / 5
+    radius = np.where(np.arange(count) % 2 == 0, 1.0, 0.3)
     flat = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    half = 0.5 * thickness
     vertices = np.concatenate(
         [
             np.column_stack([flat, np.full(count, -half)]),
@@ -40,18 +41,15 @@ def extrude(polygon, triangles, height) -> Triangles:
     return vertices, np.concatenate([triangles[:, ::-1], triangles + count, walls])
 
 
-def cube(half=0.5, inward=False) -> Triangles:
-    """Cube around the origin: vertices, faces; facing inward if `inward`."""
-    corners = half * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
-    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    faces = np.array(quads)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    return corners, faces[:, ::-1] if inward else faces
+def cube(half=0.5) -> Triangles:
+    """Cube around the origin."""
+    return tessellation.box((half,) * 3)
 
 
-def hollow_cube(outer=0.5, inner=0.4) -> Triangles:
-    """Cube with a cubic cavity, whose faces point into the cavity."""
-    wall, hollow = cube(outer), cube(inner, inward=True)
-    return np.concatenate([wall[0], hollow[0]]), np.concatenate([wall[1], hollow[1] + 8])
+def hollow_cube() -> Triangles:
+    """Cube of width 1 with a cubic cavity of width 0.8, whose faces point into the cavity."""
+    wall, hollow = cube(), cube(0.4)
+    return np.concatenate([wall[0], hollow[0]]), np.concatenate([wall[1], hollow[1][:, ::-1] + 8])
 
 
 L_POLYGON = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]
@@ -68,18 +66,18 @@ def tetrahedron(corners) -> Triangles:
     return np.asarray(corners, np.float64), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
-def spike(height=3.0) -> Triangles:
-    """Pyramid over a unit square around the origin, its tip up."""
+def spike() -> Triangles:
+    """Pyramid of height 3 over a unit square around the origin, its tip up."""
     square = [[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]]
     faces = [[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
-    return np.array([*square, [0, 0, height]], np.float64), np.array(faces)
+    return np.array([*square, [0, 0, 3]], np.float64), np.array(faces)
 
 
-def wedge(height=3.0, length=2.0) -> Triangles:
-    """Prism over a triangle: base 1 along x and `length` along y, its edge up."""
+def wedge() -> Triangles:
+    """Prism over a triangle: base 1 along x and 2 along y, height 3, its edge up."""
     x = [-0.5, 0.5, 0.0]
-    z = [0.0, 0.0, height]
-    ends = [[[x[k], y, z[k]] for k in range(3)] for y in (-0.5 * length, 0.5 * length)]
+    z = [0.0, 0.0, 3.0]
+    ends = [[[x[k], y, z[k]] for k in range(3)] for y in (-1.0, 1.0)]
     faces = [[0, 1, 2], [3, 5, 4], [0, 3, 4], [0, 4, 1], [1, 4, 5], [1, 5, 2], [2, 5, 3], [2, 3, 0]]
     return np.array(ends[0] + ends[1], np.float64), np.array(faces)
 

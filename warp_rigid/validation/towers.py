@@ -57,10 +57,10 @@ def cases(quick: bool) -> Cases:
     return listed if quick else [*listed, beams(10.0), balls_that_spread(10.0)]
 
 
-def stack_scene(count: int, half: float = HALF, friction: float = 0.5) -> Scene:
+def stack_scene(count: int, half: float = HALF) -> Scene:
     """A straight stack of equal cubes on level ground; the cubes are bodies 1 to `count`."""
-    scene = level_scene(friction=friction)
-    stacks.add_stack(scene, count, Box((half,) * 3), friction=friction)
+    scene = level_scene()
+    stacks.add_stack(scene, count, Box((half,) * 3))
     return scene
 
 
