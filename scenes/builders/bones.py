@@ -39,7 +39,7 @@ def pelvis() -> tuple[np.ndarray, np.ndarray]:
     offset = np.einsum("i,j,ix->ijx", thick, np.cos(section_angle), across)
     offset += np.einsum("i,j,ix->ijx", high, np.sin(section_angle), upward)
     vertices = (middle[:, None] + offset).reshape(-1, 3)
-    return vertices, _ring_of_rings(around, along)
+    return vertices, tessellation.ring_of_rings(around, along)
 
 
 def femur() -> tuple[np.ndarray, np.ndarray]:
@@ -63,7 +63,8 @@ def femur() -> tuple[np.ndarray, np.ndarray]:
     tube = (middle[:, None] + offset).reshape(-1, 3)
     first = middle[0] - 0.35 * width[0] * tangent[0]
     last = middle[-1] + 0.35 * width[-1] * tangent[-1]
-    return np.concatenate([tube, [first, last]]), _capped_tube(along, around)
+    below, sides, above = tessellation.capped_tube(along, around)
+    return np.concatenate([tube, [first, last]]), np.concatenate([sides, below, above]).astype(np.int32)
 
 
 def _wrapped(angle):
@@ -88,24 +89,3 @@ def _femur_radii(s):
     width = np.maximum(0.0135 + 0.026 * knee + 0.011 * trochanter, 0.023 * head)
     depth = np.maximum(0.0135 + 0.018 * knee + 0.005 * trochanter, 0.023 * head)
     return width, depth
-
-
-def _ring_of_rings(around: int, along: int) -> np.ndarray:
-    """Outward triangles of a torus of vertices: `along` points in each of `around` sections."""
-    i, j = (index.reshape(-1) for index in np.indices((around, along)))
-    after_i, after_j = (i + 1) % around, (j + 1) % along
-    quads = np.stack([i * along + j, after_i * along + j, after_i * along + after_j, i * along + after_j], axis=1)
-    return tessellation.triangulate_quads(quads)
-
-
-def _capped_tube(along: int, around: int) -> np.ndarray:
-    """Outward triangles of a tube of `along` sections, closed by fans from two more vertices."""
-    i, j = (index.reshape(-1) for index in np.indices((along - 1, around)))
-    after = (j + 1) % around
-    quads = np.stack([i * around + j, i * around + after, (i + 1) * around + after, (i + 1) * around + j], axis=1)
-    corner = np.arange(around)
-    after = (corner + 1) % around
-    first, top = along * around, (along - 1) * around
-    fans = [np.stack([np.full(around, first), after, corner], axis=1)]
-    fans.append(np.stack([np.full(around, first + 1), top + corner, top + after], axis=1))
-    return np.concatenate([tessellation.triangulate_quads(quads), *fans]).astype(np.int32)

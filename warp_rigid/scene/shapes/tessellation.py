@@ -100,17 +100,24 @@ def revolve(radii, heights, sections: int) -> tuple[np.ndarray, np.ndarray]:
         for radius, height in zip(radii, heights[1:-1], strict=True)
     ]
     poles = np.array([[0.0, 0.0, heights[0]], [0.0, 0.0, heights[-1]]])
+    return np.concatenate([*rings, poles]), np.concatenate(capped_tube(len(rings), sections)).astype(np.int32)
+
+
+def capped_tube(rings: int, sections: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangles of a tube from the lowest ring up: the fan below it, its sides, and the fan above it.
+
+    Args:
+        rings: number of rings of vertices, which two more vertices follow, the middles of the fans.
+        sections: vertices of a ring.
+    """
     around = np.arange(sections)
     after = (around + 1) % sections
-    last = (len(rings) - 1) * sections
-    south, north = len(rings) * sections, len(rings) * sections + 1
-    faces = [np.stack([np.full(sections, south), after, around], axis=1)]
-    for ring in range(len(rings) - 1):
-        low, high = ring * sections, (ring + 1) * sections
-        quads = np.stack([low + around, low + after, high + after, high + around], axis=1)
-        faces.append(triangulate_quads(quads))
-    faces.append(np.stack([np.full(sections, north), last + around, last + after], axis=1))
-    return np.concatenate([*rings, poles]), np.concatenate(faces).astype(np.int32)
+    low = sections * np.arange(rings - 1)[:, None]
+    high, last, south = low + sections, sections * (rings - 1), sections * rings
+    quads = np.stack([low + around, low + after, high + after, high + around], axis=-1).reshape(-1, 4)
+    below = np.stack([np.full(sections, south), after, around], axis=1)
+    above = np.stack([np.full(sections, south + 1), last + around, last + after], axis=1)
+    return below, triangulate_quads(quads), above
 
 
 def wheel(section: np.ndarray, sections: int) -> tuple[np.ndarray, np.ndarray]:
@@ -127,11 +134,15 @@ def wheel(section: np.ndarray, sections: int) -> tuple[np.ndarray, np.ndarray]:
         [np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius), np.broadcast_to(height, (sections, count))],
         axis=-1,
     )
-    section, corner = (index.reshape(-1) for index in np.indices((sections, count)))
-    next_section, next_corner = (section + 1) % sections, (corner + 1) % count
+    return vertices.reshape(-1, 3), ring_of_rings(sections, count)
+
+
+def ring_of_rings(sections: int, corners: int) -> np.ndarray:
+    """Outward triangles of a torus of vertices: a number of corners in each of some sections."""
+    section, corner = (index.reshape(-1) for index in np.indices((sections, corners)))
+    next_section, next_corner = (section + 1) % sections, (corner + 1) % corners
     places = [(section, corner), (next_section, corner), (next_section, next_corner), (section, next_corner)]
-    quads = np.stack([at_turn * count + at_corner for at_turn, at_corner in places], axis=1)
-    return vertices.reshape(-1, 3), triangulate_quads(quads)
+    return triangulate_quads(np.stack([at_turn * corners + at_corner for at_turn, at_corner in places], axis=1))
 
 
 def lattice(rows: int, columns: int) -> np.ndarray:
