@@ -7,7 +7,6 @@ from pxr import Usd, UsdGeom
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Cylinder, Plane, Scene, Simulator, Sphere, export_usd
 from warp_rigid.render.appearance import (
-    continuous_signs,
     corner_normals,
     drawn_surfaces,
     environment_offsets,
@@ -16,6 +15,7 @@ from warp_rigid.render.appearance import (
     spread_of,
 )
 from warp_rigid.render.film import film_from_usd
+from warp_rigid.rotations import continuous_signs
 from warp_rigid.runs.recording import record
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["about_axis", "inverse", "matrix", "matrix_rows", "multiply", "random", "rotate"]
+__all__ = ["about_axis", "continuous_signs", "inverse", "matrix", "matrix_rows", "multiply", "random", "rotate"]
 
 
 def matrix_rows(quaternion) -> tuple[tuple[np.ndarray, ...], ...]:
@@ -57,3 +57,15 @@ def random(generator: np.random.Generator, *shape: int) -> np.ndarray:
     """Uniformly distributed rotations: unit quaternions (*shape, 4)."""
     quaternion = generator.normal(size=(*shape, 4))
     return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+
+
+def continuous_signs(quaternion) -> np.ndarray:
+    """Quaternions (frames, ..., 4) with signs such that consecutive frames are connected by the shorter arc.
+
+    q and -q are the same rotation, but interpolation between frames depends on the sign.
+    """
+    quaternion = np.asarray(quaternion)
+    dots = np.sum(quaternion[1:] * quaternion[:-1], axis=-1, keepdims=True)
+    flips = np.where(dots < 0.0, -1.0, 1.0)
+    signs = np.concatenate([np.ones_like(quaternion[:1, ..., :1]), np.cumprod(flips, axis=0)])
+    return (quaternion * signs).astype(quaternion.dtype)

@@ -79,13 +79,7 @@ def figures(
     rows = moving(sim.scene)
     return {
         "engine": OURS,
-        "scene": case.name,
-        "bodies": case.bodies,
-        "envs": conditions.envs,
-        "substeps": conditions.substeps,
-        "settle": conditions.settle,
-        "frames": conditions.frames,
-        "sleeping": conditions.sleeping,
+        **head(case, conditions),
         "collider": "samples against signed distances",
         **rates(case, conditions, seconds, processor_seconds),
         "build_seconds": build_seconds,
@@ -95,6 +89,11 @@ def figures(
         "failed_envs": int((sim.status()["status"] != "ok").sum()),
         "stage_seconds": sim.stage_times(STAGE_STEPS),
     }
+
+
+def head(case: BenchmarkCase, conditions: Conditions) -> dict[str, Any]:
+    """What was run, ready for JSON."""
+    return {"scene": case.name, "bodies": case.bodies, **vars(conditions)}
 
 
 def rates(case: BenchmarkCase, conditions: Conditions, seconds: float, processor_seconds: float) -> dict[str, float]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.bench.cases import BenchmarkCase, moving
-from warp_rigid.bench.measure import FPS, Conditions, quality, rates
+from warp_rigid.bench.measure import FPS, Conditions, head, quality, rates
 from warp_rigid.checks import one_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.joints import RevoluteJoint
@@ -183,7 +183,7 @@ def _read_result(
         sim.set("orientation", found["orientation"], bodies=rows)
     seconds, processor_seconds = figures.pop("seconds"), figures.pop("processor_seconds")
     return {
-        **_head(case, conditions),
+        **head(case, conditions),
         **figures,
         **rates(case, conditions, seconds, processor_seconds),
         "quality": quality(case, sim, position, velocity),
@@ -191,8 +191,4 @@ def _read_result(
 
 
 def _fault(name: str, case: BenchmarkCase, conditions: Conditions, text: str) -> dict[str, Any]:
-    return {**_head(case, conditions), "engine": name, "fault": text}
-
-
-def _head(case: BenchmarkCase, conditions: Conditions) -> dict[str, Any]:
-    return {"scene": case.name, "bodies": case.bodies, **vars(conditions)}
+    return {**head(case, conditions), "engine": name, "fault": text}

@@ -215,18 +215,6 @@ def corner_normals(vertices, faces) -> np.ndarray:
     return normals.reshape(-1, 3, 3).astype(np.float32)
 
 
-def continuous_signs(orientation) -> np.ndarray:
-    """Quaternions (frames, ..., 4) with signs such that consecutive frames are connected by the shorter arc.
-
-    q and -q are the same rotation, but interpolation between frames depends on the sign.
-    """
-    orientation = np.asarray(orientation)
-    dots = np.sum(orientation[1:] * orientation[:-1], axis=-1, keepdims=True)
-    flips = np.where(dots < 0.0, -1.0, 1.0)
-    signs = np.concatenate([np.ones_like(orientation[:1, ..., :1]), np.cumprod(flips, axis=0)])
-    return (orientation * signs).astype(orientation.dtype)
-
-
 def bound_corners(vertices) -> np.ndarray:
     """The eight corners of the bounding box of some points, (8, 3)."""
     bounds = np.stack([np.min(vertices, axis=0), np.max(vertices, axis=0)])

@@ -10,7 +10,6 @@ import numpy as np
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.render.appearance import (
     body_colors,
-    continuous_signs,
     corner_normals,
     drawn_looks,
     drawn_surfaces,
@@ -18,6 +17,7 @@ from warp_rigid.render.appearance import (
     spread_of,
 )
 from warp_rigid.render.textures import embedded_image
+from warp_rigid.rotations import continuous_signs
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.look import Look

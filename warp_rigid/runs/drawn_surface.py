@@ -1,11 +1,12 @@
 """Surfaces that represent shapes in drawings and exports."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from warp_rigid.scene.body_columns import shapes_of
 from warp_rigid.scene.scene import Body
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.scene.shapes.heightfield import moves
@@ -46,14 +47,10 @@ class DrawnSurface:
         return (self.vertices + rise[:, None] * [0.0, 0.0, 1.0]).astype(np.float32)
 
 
-def surfaces_of(bodies: Iterable[Body]) -> tuple[tuple[DrawnSurface, ...], np.ndarray]:
+def surfaces_of(bodies: Sequence[Body]) -> tuple[tuple[DrawnSurface, ...], np.ndarray]:
     """The distinct surfaces of some bodies, and the index (bodies,) of the surface of each."""
-    surfaces, index_of = [], {}
-    for body in bodies:
-        if body.shape.key not in index_of:
-            index_of[body.shape.key] = len(surfaces)
-            surfaces.append(drawn_surface(body.shape))
-    return tuple(surfaces), np.array([index_of[body.shape.key] for body in bodies], dtype=np.int64)
+    shapes, shape_of = shapes_of(bodies)
+    return tuple(map(drawn_surface, shapes)), shape_of
 
 
 def drawn_surface(shape: Shape) -> DrawnSurface:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import LARGEST, brief, numbers_of, shown
-from warp_rigid.rotations import inverse, multiply
+from warp_rigid.rotations import continuous_signs, inverse, multiply
 
 SAME_PLACE, SAME_ORIENTATION = 1e-6, 1e-6
 """Distance [m] and angle [rad] of the first and the last pose of a path that is repeated."""
@@ -56,8 +56,7 @@ class PosePath:
         if (length < 1e-6).any():
             raise ValueError("orientations: must be quaternions (x, y, z, w) of length > 0")
         orientations = np.where(np.abs(length - 1.0) <= 1e-15, orientations, orientations / length)
-        opposite = (orientations[1:] * orientations[:-1]).sum(axis=1) < 0.0
-        orientations = orientations * np.cumprod([1.0, *np.where(opposite, -1.0, 1.0)])[:, None]
+        orientations = continuous_signs(orientations)
         if not isinstance(self.loop, bool):
             raise ValueError(f"loop: must be True or False, got {shown(self.loop)}")
         apart = np.abs(positions[-1] - positions[0]).max() > SAME_PLACE * max(1.0, np.abs(positions).max())

@@ -13,6 +13,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, in_space
 from warp_rigid.validation.case import OUTCOME, Check, ValidationCase, absolute, at_most, case, measured, relative
+from warp_rigid.validation.common import complete_elliptic
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
 GRAVITY = 9.81
@@ -70,10 +71,7 @@ def pendulum(degrees: float) -> Scene:
 
 def exact_period(degrees: float) -> float:
     """Period of that pendulum, by the arithmetic-geometric mean [s]."""
-    a, b = 1.0, math.cos(math.radians(degrees) / 2.0)
-    for _ in range(8):
-        a, b = (a + b) / 2.0, math.sqrt(a * b)
-    return 2.0 * math.pi / math.sqrt(GRAVITY) / a
+    return 4.0 * complete_elliptic(math.sin(math.radians(degrees) / 2.0) ** 2) / math.sqrt(GRAVITY)
 
 
 def period_of(trace: Trace) -> list[float]:

@@ -40,6 +40,14 @@ def at_time(trace: Trace, series: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.where(known, series[row, np.arange(series.shape[1])], np.nan)
 
 
+def complete_elliptic(parameter: float) -> float:
+    """Complete elliptic integral of the first kind K(m), by the arithmetic-geometric mean."""
+    a, b = 1.0, np.sqrt(1.0 - parameter)
+    while abs(a - b) > 1e-15 * a:
+        a, b = 0.5 * (a + b), np.sqrt(a * b)
+    return 0.5 * np.pi / a
+
+
 def gain_of_energy(series, limit: float) -> Check:
     """Check of the largest gain of an energy (records, envs) relative to the kinetic energy at the start."""
     name = "energy gained, relative to the start"

@@ -6,7 +6,7 @@ from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, in_space
 from warp_rigid.validation.case import Cases, Check, Curve, Miss, absolute, at_most, case, each, measured, relative
-from warp_rigid.validation.common import G, orientation_about
+from warp_rigid.validation.common import G, complete_elliptic, orientation_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
 EULER = "Euler's equations, closed form"
@@ -84,14 +84,6 @@ def symmetric_top(name, shape):
             shape, np.tile(spin, (4, 1)), orientations, duration=10.0, variants=("upright", "turned", "2nd", "3rd")
         ),
     )
-
-
-def complete_elliptic(parameter: float) -> float:
-    """Complete elliptic integral of the first kind K(m), by the arithmetic-geometric mean."""
-    a, b = 1.0, np.sqrt(1.0 - parameter)
-    while abs(a - b) > 1e-15 * a:
-        a, b = 0.5 * (a + b), np.sqrt(a * b)
-    return 0.5 * np.pi / a
 
 
 def flip_interval(inertia, spin) -> float:

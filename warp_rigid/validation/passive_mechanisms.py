@@ -10,6 +10,7 @@ from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint, SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.linkages import third_corner
 from warp_rigid.validation.articulated import GRAVITY, exact_period, pendulum, period_of
 from warp_rigid.validation.case import Cases, Check, ValidationCase, at_most, case, measured, relative
 from warp_rigid.validation.experiment import Experiment, Trace
@@ -190,10 +191,7 @@ def four_bar() -> Scene:
     scene = Scene(gravity=(0, 0, -GRAVITY))
     a, d = np.zeros(2), np.array([1.0, 0.0])
     b = np.array([0.0, 0.3])
-    apart = np.linalg.norm(d - b)
-    along = (0.9**2 - 0.7**2 + apart**2) / (2.0 * apart)
-    line = (d - b) / apart
-    c = b + along * line + np.sqrt(0.9**2 - along**2) * np.array([-line[1], line[0]])
+    c = third_corner(b, d, 0.9, 0.7)
     crank, coupler, rocker = _bar(scene, a, b, 0), _bar(scene, b, c, 1), _bar(scene, d, c, 2)
     for body, other, point in ((crank, None, a), (coupler, crank, b), (rocker, coupler, c), (rocker, None, d)):
         scene.add_joint(RevoluteJoint(AXIS), body, other, anchor=(point[0], 0.0, point[1]))

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.render.appearance import continuous_signs
 from warp_rigid.render.film import Film, film_from_recording, film_from_usd
 from warp_rigid.render.framing import event_end
+from warp_rigid.rotations import continuous_signs
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import camera_of_text, with_body_index
 from warp_rigid.viewer.branding import own_title
