@@ -37,9 +37,7 @@ SECONDS_PER_BYTE, BYTES_PER_BYTE = 1e-6, 20.0
 TEXT, PACKAGE = b"#usda", b"PK"
 """First bytes of text files and packages."""
 
-DAMAGED_VALUE = (
-    Tf.ErrorException, UnicodeError, TypeError, IndexError, KeyError, AttributeError, OverflowError, RuntimeError,
-)  # fmt: skip
+UNREADABLE = (Tf.ErrorException, UnicodeError, TypeError, IndexError, KeyError, AttributeError, OverflowError)
 """Exceptions raised for values that are damaged or of the wrong type."""
 DAMAGED_PACKAGE = (zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError, RuntimeError, EOFError)
 
@@ -183,7 +181,7 @@ def _try_value(read: Any, *where: Any) -> None:
     """Read a value; one of the wrong type is reported by the reader of the scene, where it is used."""
     try:
         read(*where)
-    except DAMAGED_VALUE:
+    except (*UNREADABLE, RuntimeError):
         pass
 
 
@@ -358,7 +356,7 @@ def _answer(request: dict[str, Any]) -> str:
     path = request["path"]
     try:
         examine(path, _limited(request["seconds"], request["bytes"]))
-    except (MemoryError, ValueError, *DAMAGED_VALUE) as error:
+    except (MemoryError, ValueError, RuntimeError, *UNREADABLE) as error:
         reason = reason_of(error)
         if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
             allowed = f"{request['bytes'] / 2**30:g} GiB; WARP_RIGID_USD_GIGABYTES raises the limit"

@@ -26,7 +26,7 @@ from warp_rigid.scene.joints import (
 from warp_rigid.scene.joints.placing import local_frame, rotation_of_x_to, world_frame
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
-from warp_rigid.usd.geometry import MARK, custom_data, gf_quaternion, quaternion_of_matrix
+from warp_rigid.usd.geometry import MARK, custom_data, gf_quaternion, lineage, quaternion_of_matrix
 from warp_rigid.usd.masses import states_no_mass
 from warp_rigid.usd.prims import described
 from warp_rigid.usd.serial_joints import SHARE, insert_links
@@ -218,9 +218,9 @@ class JointReader:
 
     def _body(self, prim: Usd.Prim | None) -> int | None:
         """Index of the body to which a prim belongs; None if it belongs to none."""
-        while prim and not prim.IsPseudoRoot():
-            path = str(prim.GetPath())
-            if prim.HasAPI(UsdPhysics.RigidBodyAPI) and UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
+        for above in lineage(prim):
+            path = str(above.GetPath())
+            if above.HasAPI(UsdPhysics.RigidBodyAPI) and UsdPhysics.RigidBodyAPI(above).GetRigidBodyEnabledAttr().Get():
                 if path in self._parts:
                     whole = self._parts[path]
                     return self._body(self._stage.GetPrimAtPath(whole) if whole else None)
@@ -229,7 +229,6 @@ class JointReader:
             found = self._owners.get(path, self._body_of.get(path))
             if found is not None:
                 return found
-            prim = prim.GetParent()
         return None
 
     def _joint(self, prim: Usd.Prim, description: Any) -> Joint:

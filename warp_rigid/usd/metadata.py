@@ -6,6 +6,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
 from warp_rigid.checks import number_in, one_of
+from warp_rigid.usd.geometry import lineage
 
 FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 """Rotation from a stage with y up to the scene, `matrix @ vector`."""
@@ -51,10 +52,8 @@ def animation_codes(stage: Usd.Stage, prim: Usd.Prim) -> list[float]:
     if stage.HasAuthoredTimeCodeRange():
         first, last, _ = time_codes(stage)
     else:
-        samples: list[float] = []
-        while prim and not prim.IsPseudoRoot():
-            samples += UsdGeom.Xformable(prim).GetTimeSamples() if UsdGeom.Xformable(prim) else []
-            prim = prim.GetParent()
+        movable = filter(None, map(UsdGeom.Xformable, lineage(prim)))
+        samples = [time for above in movable for time in above.GetTimeSamples()]
         first, last = min(samples), max(samples)
         number_in("time samples", last, first, first + MAX_FRAMES)
     return [*np.arange(first, last, 1.0).tolist(), last]

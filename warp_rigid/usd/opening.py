@@ -15,13 +15,10 @@ from pxr import Sdf, Tf, Usd
 
 from warp_rigid.checks import number_in
 from warp_rigid.usd import examination
-from warp_rigid.usd.examination import reason_of
+from warp_rigid.usd.examination import UNREADABLE, reason_of
 
 LIMITS = {"seconds": ("WARP_RIGID_USD_SECONDS", 2.0, 1.0), "bytes": ("WARP_RIGID_USD_GIGABYTES", 1.5, 2.0**30)}
 """Limits of the examination: environment variable, default, and unit. They grow with the size of the files."""
-
-UNREADABLE = (Tf.ErrorException, UnicodeError, TypeError, IndexError, KeyError, AttributeError, OverflowError)
-"""Exceptions raised for values that are damaged or of the wrong type."""
 
 
 def open_stage(path: Path) -> Usd.Stage:

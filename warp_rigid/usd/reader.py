@@ -18,7 +18,7 @@ from warp_rigid.usd.actuators import ACTUATOR
 from warp_rigid.usd.cameras import read_camera
 from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs, linked
-from warp_rigid.usd.geometry import FOLLOWS_PATH, custom_data, polar, quaternion_of_matrix
+from warp_rigid.usd.geometry import FOLLOWS_PATH, custom_data, lineage, polar, quaternion_of_matrix
 from warp_rigid.usd.instancing import OF_ORIGIN, expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
@@ -251,12 +251,7 @@ class Reader:
     @staticmethod
     def _static_owner(prim: Usd.Prim) -> Usd.Prim:
         """The prim written by this package for a static body with several colliders, else the collider itself."""
-        above = prim
-        while above and not above.IsPseudoRoot():
-            if "motion" in custom_data(above):
-                return above
-            above = above.GetParent()
-        return prim
+        return next((above for above in lineage(prim) if "motion" in custom_data(above)), prim)
 
     def _add(self, scene: Scene, body: _Body) -> None:
         """Add one body, or several for static colliders of one prim that cannot form a compound."""
@@ -439,11 +434,7 @@ class Reader:
 
 def _is_animated(prim: Usd.Prim) -> bool:
     """Whether the transform of a prim, or of one above it, changes with time."""
-    while prim and not prim.IsPseudoRoot():
-        if UsdGeom.Xformable(prim) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
-            return True
-        prim = prim.GetParent()
-    return False
+    return any(movable.TransformMightBeTimeVarying() for movable in filter(None, map(UsdGeom.Xformable, lineage(prim))))
 
 
 def _joined(group: list[Collider], motion: Motion) -> tuple[Shape, np.ndarray, np.ndarray]:
