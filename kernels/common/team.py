@@ -330,18 +330,6 @@ def broadcast_integer(value: int, lane: int, lanes: int) -> int:
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
-    for (int offset = lanes / 2; offset > 0; offset /= 2) { value += __shfl_xor_sync(mask, value, offset, lanes); }
-#endif
-    return value;
-""")
-def sum_of_lanes(value: float, lanes: int) -> float:
-    """The sum over a team, the same in all lanes. Only for teams within a warp."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
     for (int offset = lanes / 2; offset > 0; offset /= 2) {
         value = fmaxf(value, __shfl_xor_sync(mask, value, offset, lanes));
     }
