@@ -16,8 +16,10 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
+from warp_rigid.engine.joints import mechanisms_of
+from warp_rigid.scene.body_columns import is_dynamic
 from warp_rigid.scene.import_report import ImportFinding
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.scene import Scene
 from warp_rigid.usd import limited
 from warp_rigid.usd.load import import_usd
 from warp_rigid.usd.robot_features import name_left_out, without_mass
@@ -101,16 +103,12 @@ def import_robot(
 
 def _filter_mechanisms(scene: Scene) -> bool:
     """Exclude pairs of bodies that joints connect, directly or not, from collision. Returns whether there are any."""
-    groups: dict[int | None, set[int]] = {
-        i: {i} for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC
-    }
-    for entry in scene.joints:
-        merged = groups.get(entry.body_a, set()) | groups.get(entry.body_b, set())
-        groups.update(dict.fromkeys(merged, merged))
-    pairs = {pair for members in groups.values() for pair in combinations(sorted(members), 2)}
-    for first, second in pairs:
+    dynamic = is_dynamic(scene.bodies)
+    pairs = [pair for members in mechanisms_of(scene).members for pair in combinations(members, 2)]
+    moving = [pair for pair in pairs if dynamic[list(pair)].all()]
+    for first, second in moving:
         scene.filter_pair(first, second)
-    return bool(pairs)
+    return bool(moving)
 
 
 def search_path() -> str:

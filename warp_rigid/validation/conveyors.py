@@ -14,6 +14,7 @@ from warp_rigid.scenes.builders.scene_parts import body, in_space, static
 from warp_rigid.validation.case import Cases, Check, Curve, absolute, case, measured, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
+from warp_rigid.validation.sliding import ring_feet
 
 HALF = 0.1
 BELTS = ((0.5, 0.3), (1.0, 0.5), (2.0, 0.5), (2.0, 0.8))
@@ -104,12 +105,6 @@ def stack():
     )
 
 
-def feet() -> np.ndarray:
-    """Positions of the feet of the plate in its frame, (3, 3) [m]."""
-    angle = 2.0 * np.pi * np.arange(3) / 3
-    return RADIUS * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-
-
 @cache
 def plate_motion() -> tuple[float, float, float]:
     """Place x, y [m] and angle [rad] of the plate after PLATE_TIME, by the equations of motion.
@@ -117,11 +112,11 @@ def plate_motion() -> tuple[float, float, float]:
     The three loads are equal, as the feet are low. Each foot is pushed by PLATE_FRICTION times its load against its
     velocity relative to the surface below it, which runs along y at 1 m/s where x < 0.
     """
-    dt, state = 1e-5, np.zeros(6)
+    dt, state, feet = 1e-5, np.zeros(6), ring_feet(3, RADIUS)
     for _ in range(round(PLATE_TIME / dt)):
         angle, spin = state[2], state[5]
         rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        arm = feet()[:, :2] @ rotation.T
+        arm = feet[:, :2] @ rotation.T
         slip = state[3:5] + spin * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
         slip[:, 1] -= np.where(state[0] + arm[:, 0] < 0.0, 1.0, 0.0)
         push = -PLATE_FRICTION * G / 3.0 * slip / np.maximum(np.linalg.norm(slip, axis=1), 1e-9)[:, None]
@@ -135,7 +130,7 @@ def plate_across_the_edge():
     """A plate on three feet, two of which are on a belt and one on the table beside it, which turns the plate."""
     table = partial(static, Box((1, 1, 0.1)), friction=PLATE_FRICTION)
     belt = table(position=(-1, 0, -0.1), surface_velocity=(0, 1, 0))
-    plate = Compound([(Sphere(FOOT), place, (0, 0, 0, 1)) for place in feet()])
+    plate = Compound([(Sphere(FOOT), place, (0, 0, 0, 1)) for place in ring_feet(3, RADIUS)])
     on_feet = body(plate, position=(0, 0, FOOT), friction=PLATE_FRICTION)
     scene = in_space(belt, table(position=(1, 0, -0.1)), on_feet, gravity=(0, 0, -G))
 

@@ -25,10 +25,10 @@ def cases(quick: bool) -> Cases:
     return [rings((3, 24) if quick else (3, 6, 12, 24)), box_on_four_corners()]
 
 
-def ring_feet(count: int) -> np.ndarray:
+def ring_feet(count: int, radius: float = RING_RADIUS) -> np.ndarray:
     """Positions of the feet of a ring in its frame, (count, 3) [m]."""
     angle = 2.0 * np.pi * np.arange(count) / count
-    return np.stack([RING_RADIUS * np.cos(angle), RING_RADIUS * np.sin(angle), 0.0 * angle], axis=1)
+    return radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
 
 
 def stop(feet: np.ndarray, height: float, gyration: float, speed: float, spin: float) -> tuple[float, float, float]:
