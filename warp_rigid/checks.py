@@ -10,26 +10,6 @@ import warnings
 
 import numpy as np
 
-__all__ = [
-    "array_of",
-    "box_corners",
-    "brief",
-    "finite_vector",
-    "flags",
-    "listed",
-    "number_array",
-    "number_in",
-    "numbers_of",
-    "numbers_of_shape",
-    "one_of",
-    "refuse_others",
-    "shape_of",
-    "shown",
-    "suggestion",
-    "unit_quaternion",
-    "whole_in",
-]
-
 LARGEST = float(np.finfo(np.float32).max)
 EXACT = 2.0**53
 """Up to this size double precision has all whole numbers."""

@@ -8,8 +8,6 @@ import html
 from functools import singledispatch
 from typing import Any
 
-__all__ = ["Inline", "film_of", "html_of"]
-
 
 class Inline:
     """HTML that a notebook shows where it is the value of a cell.

@@ -1,7 +1,5 @@
 """Errors raised by a running simulation. Bad input raises ValueError instead."""
 
-__all__ = ["CapacityError", "NonFiniteError"]
-
 
 class CapacityError(RuntimeError):
     """A buffer is too small and may not grow, or memory is exhausted.

@@ -5,8 +5,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-__all__ = ["advice", "need", "need_for_file"]
-
 EXTRAS = {
     "PIL": "picture",
     "matplotlib": "picture",

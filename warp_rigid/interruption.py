@@ -17,8 +17,6 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-__all__ = ["STATUS", "end", "end_at_once", "is_of_command", "keeping", "needs_telling", "received", "watched"]
-
 STATUS = 130
 AGAIN, LONGEST = 0.1, 0.25
 """Time after which an interruption is raised again, and after which the process ends [s]."""

@@ -17,8 +17,6 @@ import warp as wp
 
 from warp_rigid.files.atomic import atomic_file
 
-__all__ = ["load_module"]
-
 log = logging.getLogger("warp_rigid")
 
 CHECKSUM = ".sha256"

@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from contextvars import ContextVar
 from typing import Any, Protocol
 
-__all__ = ["Advance", "in_notebook", "lines_if_redirected", "progress"]
-
 LINE_PERIOD = 10.0
 """Time between lines [s]."""
 DELAY = 0.5

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["about_axis", "continuous_signs", "inverse", "matrix", "matrix_rows", "multiply", "random", "rotate"]
-
 
 def matrix_rows(quaternion) -> tuple[tuple[np.ndarray, ...], ...]:
     """The nine entries of rotation matrices, row by row, each shaped (...); in the quaternions' precision."""

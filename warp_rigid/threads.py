@@ -15,8 +15,6 @@ import warp as wp
 
 from warp_rigid.warp_start import start_warp
 
-__all__ = ["device_work", "exclusive", "on_stream"]
-
 
 class _Gate:
     """Any number of threads may share the devices, or one has them alone. Both can be nested."""

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 
 import warp as wp
 
-__all__ = ["start_warp"]
-
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 _lock = threading.Lock()

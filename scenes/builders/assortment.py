@@ -11,8 +11,6 @@ from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
 
-__all__ = ["CONVEX_KINDS", "convex_solid", "convex_solids"]
-
 MOST_SEEDS = 2**32 - 1
 SIZES = (0.75, 1.0, 1.25)
 """Few sizes, so that thousands of bodies share a small number of shapes."""

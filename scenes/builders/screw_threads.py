@@ -7,8 +7,6 @@ import numpy as np
 
 from warp_rigid.scene.shapes.mesh import Mesh
 
-__all__ = ["Thread", "bolt", "nut"]
-
 SLICES_PER_TURN = 60
 ARC, FLANK_ARC = math.radians(10.0), math.radians(6.0)
 """Largest angle between neighbouring corners of a cross-section, on crest and root, and on the flanks, which touch."""

@@ -11,8 +11,6 @@ from warp_rigid.scene.shapes.distance_grid import interpolate
 from warp_rigid.scene.shapes.mesh import CELLS_OF_A_WALL
 from warp_rigid.scene.shapes.sampling import SampleKind
 
-__all__ = ["inspect_mesh", "parse_slice", "save_slice"]
-
 PROBES = 4096
 """Number of random points that compare the grid with the exact distance."""
 SLICE_POINTS = 240

@@ -10,8 +10,6 @@ from warp_rigid.scene.body_columns import column, extents, is_dynamic, shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Mesh
 
-__all__ = ["hints_on"]
-
 FULL_TURN = 2.0 * math.pi
 LONGEST_STEP = 1.0
 """Largest way of a body in a step, relative to its largest extent."""

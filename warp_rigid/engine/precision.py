@@ -9,8 +9,6 @@ from warp_rigid.scene.body_columns import column, extents, is_dynamic, shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Plane
 
-__all__ = ["check_mass_ratio", "check_precision"]
-
 MOST_MASS_RATIO = 1e6
 """Largest ratio of the masses of two dynamic bodies; at 1e7 a heavy body squeezes out a light one that carries it."""
 MOST_MOMENT_RATIO = 2.0**24
