@@ -98,6 +98,18 @@ def test_a_self_test_that_hangs_or_computes_wrongly_is_told(monkeypatch):
     assert "status -9" in machine._device("cuda:0").found and "--device cpu" in machine._device("cuda:0").advice
 
 
+def test_the_self_test_is_of_this_copy_of_the_package(monkeypatch):
+    places = []
+
+    def run(*_, env, **__):
+        places.extend(env["PYTHONPATH"].split(os.pathsep))
+        return subprocess.CompletedProcess([], 1, "", "")
+
+    monkeypatch.setattr(machine.subprocess, "run", run)
+    machine._device("cpu")
+    assert Path(places[0], "warp_rigid").samefile(Path(machine.__file__).parents[1])
+
+
 def test_a_driver_that_warp_cannot_use_is_a_fault(monkeypatch):
     monkeypatch.setattr(machine.wp, "is_cuda_available", lambda: False)
     monkeypatch.setattr(machine.shutil, "which", lambda _: "/usr/bin/nvidia-smi")

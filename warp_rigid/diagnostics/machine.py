@@ -25,6 +25,8 @@ LIBRARIES = {
     "imageio-ffmpeg": "warp-rigid[picture]", "viser": "warp-rigid[viewer]",
 }  # fmt: skip
 """Libraries, and the package or extra that installs each."""
+ROOT = Path(__file__).resolve().parents[2]
+"""Folder of the package: the source checkout, if there is one."""
 
 COMPILE_SECONDS, TEST_SECONDS = 300, 30
 """Time limits of the first compilation and of the self-test [s]."""
@@ -50,7 +52,7 @@ class MachineCheck:
 
 
 def examine(devices: list[str] | None = None) -> dict[str, Any]:
-    """MachineCheck versions, devices, caches and memory, and test each device in a separate process.
+    """Check versions, devices, caches and memory, and test each device in a separate process.
 
     Args:
         devices: names of Warp devices; None tests all.
@@ -71,11 +73,10 @@ def examine(devices: list[str] | None = None) -> dict[str, Any]:
 
 def git(*arguments: str) -> str:
     """What git prints about the source checkout; "" for an installed package."""
-    checkout = Path(__file__).resolve().parents[2]
-    if not (checkout / ".git").exists():
+    if not (ROOT / ".git").exists():
         return ""
     try:
-        done = subprocess.run(["git", *arguments], cwd=checkout, capture_output=True, text=True, timeout=30)
+        done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=30)
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout.strip()
@@ -100,7 +101,7 @@ def _describe(device: Any) -> dict[str, Any]:
 
 
 def _libraries() -> list[MachineCheck]:
-    """MachineCheck the libraries; those of extras may be missing."""
+    """Check the libraries; those of extras may be missing."""
     checks = []
     for library, package in LIBRARIES.items():
         version = _version(library)
@@ -111,7 +112,7 @@ def _libraries() -> list[MachineCheck]:
 
 
 def _cuda() -> MachineCheck:
-    """MachineCheck CUDA; a machine without an NVIDIA driver passes."""
+    """Check CUDA; a machine without an NVIDIA driver passes."""
     if wp.is_cuda_available():
         driver = ".".join(str(part) for part in wp.get_cuda_driver_version() or ())
         found = f"{wp.get_cuda_device_count()} device(s), driver for CUDA {driver}"
@@ -126,7 +127,7 @@ def _cuda() -> MachineCheck:
 
 
 def _caches() -> list[MachineCheck]:
-    """MachineCheck the cache folders; without them every process compiles kernels and computes grids again."""
+    """Check the cache folders; without them every process compiles kernels and computes grids again."""
     folders = {
         "kernel cache": (Path(str(wp.config.kernel_cache_dir)), "set WARP_CACHE_PATH to a writable folder"),
         "grid cache": (distance_grid.cache_folder(), "set WARP_RIGID_CACHE to a writable folder"),
@@ -153,7 +154,7 @@ def _device(name: str) -> MachineCheck:
     """Run the self-test in a separate process, so that a crash of the device driver can be reported."""
     title = f"self-test on {name}"
     command = [sys.executable, "-m", "warp_rigid.diagnostics.selftest", name]
-    places = [str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", "")]
+    places = [str(ROOT), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(place for place in places if place)}
     try:
         done = subprocess.run(

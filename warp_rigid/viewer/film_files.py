@@ -10,7 +10,7 @@ from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.render.film import Film, colored, film_from_recording, film_from_usd
 from warp_rigid.render.strings import with_strings
-from warp_rigid.runs.recording import Recording
+from warp_rigid.runs.recording import CAPTURED, VELOCITIES, Recording
 
 MAX_WIDTH = 7680
 """Maximum width of a panel [pixel]."""
@@ -41,8 +41,7 @@ def selected(recording: Recording, envs: Any = None) -> Recording:
     if envs is None:
         return recording
     rows = recording.rows(envs)
-    names = ("position", "orientation", "asleep", "level", "linear_velocity", "angular_velocity")
-    kept = {name: getattr(recording, name) for name in names}
+    kept = {name: getattr(recording, name) for name in (*CAPTURED, *VELOCITIES)}
     return replace(
         recording,
         **{name: None if values is None else values[:, rows] for name, values in kept.items()},
