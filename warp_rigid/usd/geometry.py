@@ -1,7 +1,5 @@
 """Conversions between the frames of this package and of USD."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from pxr import Gf, Usd
 
@@ -18,13 +16,6 @@ def custom_data(prim: Usd.Prim) -> dict:
     """Custom data that this package writes for content without a USD schema."""
     found = prim.GetCustomDataByKey(MARK)
     return found if isinstance(found, dict) else {}
-
-
-def lineage(prim: Usd.Prim | None) -> Iterator[Usd.Prim]:
-    """A prim and those above it, the nearest first, without the root of the stage."""
-    while prim and not prim.IsPseudoRoot():
-        yield prim
-        prim = prim.GetParent()
 
 
 def gf_quaternion(orientation) -> Gf.Quatf:

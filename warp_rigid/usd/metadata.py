@@ -1,12 +1,12 @@
-"""Metadata of stages: units, the up axis, and the range of time codes, with checks."""
+"""Metadata of stages: units, the up axis, and the range of time codes, with checks; and the prims above a prim."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
 from warp_rigid.checks import number_in, one_of
-from warp_rigid.usd.geometry import lineage
 
 FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 """Rotation from a stage with y up to the scene, `matrix @ vector`."""
@@ -23,6 +23,13 @@ class TimeCodes(NamedTuple):
     first: float
     last: float
     rate: float
+
+
+def lineage(prim: Usd.Prim | None) -> Iterator[Usd.Prim]:
+    """A prim and those above it, the nearest first, without the root of the stage."""
+    while prim and not prim.IsPseudoRoot():
+        yield prim
+        prim = prim.GetParent()
 
 
 def time_codes(stage: Usd.Stage) -> TimeCodes:
