@@ -63,6 +63,19 @@ def precise(q: wp.quat, remainder: wp.vec4):
 
 
 @wp.func
+def store_turn(b: int, turn: wp.quatd, spin: wp.vec3d, state: State):
+    """Store the orientation and the angular velocity of a body, rounded, and their rounding errors."""
+    rounded = wp.quat(wp.float32(turn[0]), wp.float32(turn[1]), wp.float32(turn[2]), wp.float32(turn[3]))
+    rest = turn - precise(rounded, wp.vec4(0.0, 0.0, 0.0, 0.0))
+    state.orientation[b] = rounded
+    state.orientation_remainder[b] = wp.vec4(
+        wp.float32(rest[0]), wp.float32(rest[1]), wp.float32(rest[2]), wp.float32(rest[3])
+    )
+    state.angular_velocity[b] = wp.vec3(spin)
+    state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
+
+
+@wp.func
 def spin_of(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d):
     """Angular velocity for an angular momentum and an orientation: R I^-1 R^T L."""
     r = wp.quat_to_matrix(wp.normalize(turn))
@@ -305,17 +318,9 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     state.health[b] = health
     push = rotate_by(wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0)), push_turn)
     after = wp.normalize(push * kept)
-    spin = wp.quat_rotate(push, spin)
-    state.angular_velocity[b] = wp.vec3(spin)
-    state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
     travel = wp.float64(dt) * wp.vec3d(motions.next_course[b] + kept_push * motions.solver_bodies[b].push_linear)
     state.linear_velocity[b] = linear
     center = wp.vec3d(bodies.center_of_mass[b])
     center_shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
     state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - center_shift)
-    rounded = wp.quat(wp.float32(after[0]), wp.float32(after[1]), wp.float32(after[2]), wp.float32(after[3]))
-    state.orientation[b] = rounded
-    remainder = after - precise(rounded, wp.vec4(0.0, 0.0, 0.0, 0.0))
-    state.orientation_remainder[b] = wp.vec4(
-        wp.float32(remainder[0]), wp.float32(remainder[1]), wp.float32(remainder[2]), wp.float32(remainder[3])
-    )
+    store_turn(b, after, wp.quat_rotate(push, spin), state)

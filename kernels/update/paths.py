@@ -8,7 +8,7 @@ checkpoint or a repeated step needs nothing but the counter.
 import warp as wp
 
 from warp_rigid.kernels.schema import Bodies, Environments, Paths, State
-from warp_rigid.kernels.update.integrate import precise, rotation_vector
+from warp_rigid.kernels.update.integrate import rotation_vector, store_turn
 
 wp.set_module_options({"enable_backward": False})
 
@@ -87,14 +87,6 @@ def follow_paths(dt: wp.float64, paths: Paths, bodies: Bodies, envs: Environment
     rotation = turn_between(turn, next_turn)
     if wp.length(rotation) > wp.float64(0.0):
         way += wp.quat_rotate(next_turn, center) - wp.quat_rotate(turn, center)
-    spin = rotation / dt
-    rounded = wp.quat(wp.float32(turn[0]), wp.float32(turn[1]), wp.float32(turn[2]), wp.float32(turn[3]))
-    rest = turn - precise(rounded, wp.vec4(0.0, 0.0, 0.0, 0.0))
     state.position[b] = wp.vec3(position)
-    state.orientation[b] = rounded
-    state.orientation_remainder[b] = wp.vec4(
-        wp.float32(rest[0]), wp.float32(rest[1]), wp.float32(rest[2]), wp.float32(rest[3])
-    )
     state.linear_velocity[b] = wp.vec3(way / dt)
-    state.angular_velocity[b] = wp.vec3(spin)
-    state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
+    store_turn(b, turn, rotation / dt, state)

@@ -13,6 +13,7 @@ import warp as wp
 
 from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.kernel_cache import load_module
+from warp_rigid.kernels.common.tangents import tangent_of
 from warp_rigid.render.appearance import bound_corners, corner_normals, on_screen
 from warp_rigid.render.film import Film
 from warp_rigid.render.shading import HORIZON_COLOR, CameraView, glossy_color, grid_shade, lit_color, sky_color
@@ -180,15 +181,6 @@ def blocked(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3, reac
 
 
 @wp.func
-def any_tangent(normal: wp.vec3) -> wp.vec3:
-    """A unit vector perpendicular to a unit vector."""
-    helper = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(normal[0]) > 0.7:
-        helper = wp.vec3(0.0, 1.0, 0.0)
-    return wp.normalize(wp.cross(normal, helper))
-
-
-@wp.func
 def fraction(value: float) -> float:
     """Fractional part."""
     return value - wp.floor(value)
@@ -205,7 +197,7 @@ def disc_point(index: int) -> wp.vec2:
 @wp.func
 def visible_lamp(instances: InstanceArrays, camera: CameraView, point: wp.vec3, first: int, rays: int) -> float:
     """Visible part of the lamp, from `rays` rays of the sequence."""
-    right = any_tangent(camera.light)
+    right = tangent_of(camera.light)
     up = wp.cross(camera.light, right)
     dark = float(0.0)
     for k in range(rays):
@@ -221,7 +213,7 @@ def visible_sky(
     """Part of the sky that is not occluded nearby, weighted by the cosine, from `rays` rays of the sequence."""
     if camera.shade_reach <= 0.0:
         return 1.0
-    right = any_tangent(normal)
+    right = tangent_of(normal)
     up = wp.cross(normal, right)
     dark = float(0.0)
     for k in range(rays):
