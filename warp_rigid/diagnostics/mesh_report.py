@@ -82,7 +82,6 @@ def save_slice(mesh: Mesh, path, axis: int, coordinate: float) -> None:
         ValueError: The plane is outside the grid.
         ModuleNotFoundError: Matplotlib is not installed.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     lower = np.asarray(mesh.grid.origin)
@@ -93,7 +92,6 @@ def save_slice(mesh: Mesh, path, axis: int, coordinate: float) -> None:
         )
     across, up = [k for k in range(3) if k != axis]
     figure = Figure(figsize=(8.0, 6.4), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot(
         aspect="equal",
         xlabel=f"{'xyz'[across]} [m]",
