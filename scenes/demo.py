@@ -28,6 +28,8 @@ SOUND = {"default": True}
 
 SCALES = {"mm": 1e3, "%": 100.0}
 """Factors from SI units to units of conditions; 1 for the others."""
+SI_UNITS = {"mm": "m", "%": ""}
+"""SI units of the units of SCALES."""
 
 
 @dataclass(frozen=True, eq=False)

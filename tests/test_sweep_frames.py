@@ -26,6 +26,33 @@ def test_pandas_and_polars_have_every_row_and_the_units(grid):
     assert grid.to_arrow().field("drift").metadata == {b"unit": b"m"}
 
 
+MEASURED = """
+import warp_rigid as wr
+
+def scene(speed=1.0):
+    made = wr.Scene()
+    made.add_static(wr.Plane(), surface_velocity=(speed, 0, 0), name="belt")
+    made.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1), name="box")
+    return made
+
+def outcome(sim):
+    x = sim.get("position", bodies=["box"])[:, 0, 0]
+    return {"way": (x, "m"), "loss": (x, x > 0, "%"), "gap": (x, "mm"), "count": x > 0}
+"""
+
+
+def test_outcomes_of_scene_files_keep_their_units_in_si(tmp_path):
+    """Values of an outcome are in SI units, also those that are shown in mm and %."""
+    (tmp_path / "belt.py").write_text(MEASURED)
+    axes = {"surface_velocity[belt]": [(0.5, 0, 0), (1, 0, 0)]}
+    options = OPTIONS | {"metrics": ["outcome", "final_pose"]}
+    found = wr.sweep(tmp_path / "belt.py", axes, output=tmp_path / "t.parquet", **options)
+    expected = {"outcome_way": "m", "outcome_gap": "m", "surface_velocity[belt]": "m/s", "final_position": "m"}
+    for result in (found, wr.sweep.read(tmp_path / "t.parquet")):
+        assert result.units == expected | {"wall_time": "s"}
+    assert found.plot(x="run", y="outcome_way").axes[0].get_ylabel() == "outcome_way [m]"
+
+
 def test_a_grid_has_a_dimension_for_each_axis(grid):
     xarray = pytest.importorskip("xarray", reason="an optional package")
     found = grid.to_xarray()

@@ -14,6 +14,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
 from warp_rigid.runs.user_code import column_name
+from warp_rigid.scenes.demo import SI_UNITS
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
@@ -38,12 +39,14 @@ class Batch:
         trajectories: for each group of runs the arguments of Trajectories.add; empty if they are not recorded.
         series: the arguments of Series.add; empty if there are no series.
         seconds: wall-clock time by phase, see Stopwatch.
+        units: units of the outcomes by the names of their columns.
     """
 
     rows: list[dict[str, Any]]
     trajectories: list[tuple[list[Run], dict[str, Any]]] = field(default_factory=list)
     series: list[tuple[list[Run], dict[str, np.ndarray]]] = field(default_factory=list)
     seconds: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +154,8 @@ def run_batch(job: Job, runs: Sequence[Run], on_done: Callable[[float], object] 
     watch.add(first.seconds)
     watch.add(second.seconds)
     trajectories, series = first.trajectories + second.trajectories, first.series + second.series
-    return Batch(first.rows + second.rows, trajectories, series, watch.seconds)
+    units = {**first.units, **second.units}
+    return Batch(first.rows + second.rows, trajectories, series, watch.seconds, units)
 
 
 def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | None = None) -> Batch:
@@ -201,7 +205,7 @@ def _run(job: Job, prepared: Prepared, start: float, on_done: Callable[[float], 
     watch.add({"measure": time.perf_counter() - measuring - watch.seconds["record"] - watch.seconds["step"]})
     kept = _trajectories(prepared, rows, frames) if job.trajectories else []
     series = [(prepared.runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
-    return Batch([row | {"wall_time": seconds} for row in rows], kept, series, watch.seconds)
+    return Batch([row | {"wall_time": seconds} for row in rows], kept, series, watch.seconds, outcomes.units)
 
 
 def _append_look(sim: Simulator, observers: Observers, looks: dict[str, list]) -> None:
@@ -231,12 +235,17 @@ def _measured(prepared: Prepared, metrics: list[Callable], failures: Failures) -
 
 
 class _Outcomes:
-    """The outcomes of the scenes of a batch; one that fails has no columns."""
+    """The outcomes of the scenes of a batch; one that fails has no columns.
+
+    Attributes:
+        units: units by the names of the columns that `values` has returned.
+    """
 
     def __init__(self, job: Job, prepared: Prepared, failures: Failures) -> None:
         """Make the outcome of each scene."""
         self._num_envs, self._failures = prepared.sim.num_envs, failures
         self._outcomes: list[tuple[Any, EnvironmentView]] = []
+        self.units: dict[str, str] = {}
         for view in prepared.views if OUTCOME in job.metrics else []:
             with failures.of(job.demo.outcome, "outcome", view.envs):
                 self._outcomes.append((job.demo.outcome(view.scene), view))
@@ -257,6 +266,8 @@ class _Outcomes:
             with self._failures.of(outcome, "outcome", view.envs):
                 for verdict in outcome.verdicts(view):
                     columns = {verdict.name: verdict.values, f"{verdict.name}_ok": verdict.passed}
+                    if unit := SI_UNITS.get(verdict.unit, verdict.unit):
+                        self.units[f"outcome_{verdict.name}"] = unit
                     for name, values in columns.items():
                         if values is None:
                             continue

@@ -16,7 +16,7 @@ COLUMNS = ("run", "id", "seed", *BOOKKEEPING, "status", "reason", "most_pairs", 
 
 METADATA_TYPES: dict[str, type] = {
     "scene": str, "fixed": dict, "duration": float, "fps": float, "metrics": list, "axes": list, "parameters": list,
-    "version": str, "design_id": str, "runs": int,
+    "version": str, "design_id": str, "runs": int, "units": dict,
 }  # fmt: skip
 """Metadata fields and their types."""
 
@@ -32,6 +32,9 @@ UNITS = {
     "position": "m",
     "linear_velocity": "m/s",
     "angular_velocity": "rad/s",
+    "surface_velocity": "m/s",
+    "surface_angular_velocity": "rad/s",
+    "final_position": "m",
     "force": "N",
     "torque": "N m",
     "gravity": "m/s^2",

@@ -8,7 +8,6 @@ import numpy as np
 from warp_rigid.checks import one_of
 from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.sweep.columns import unit_of
 
 KINDS = ("line", "heatmap", "scatter")
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -104,7 +103,7 @@ def _lines(figure: Any, result: Any, x: str, y: str, others: list[str]) -> None:
             axes.set_xticks(ticks, stops)
         elif any(len(part) > 1 for part in parts):
             axes.fill_between(ticks, low, high, color=color, alpha=0.15, linewidth=0)
-    axes.set(xlabel=_label(x), ylabel=_label(y), title=_title(result))
+    axes.set(xlabel=_label(result, x), ylabel=_label(result, y), title=_title(result))
     axes.grid(alpha=0.3)
     if len(groups) > 1:
         axes.legend(title=", ".join(others), fontsize="small")
@@ -126,9 +125,9 @@ def _heat_maps(figure: Any, result: Any, x: str, along: str, y: str, others: lis
             for j, h in enumerate(across):
                 cells[i, j] = _of(values[chosen & (rows == v) & (columns == h)], np.mean)
         image = panel.pcolormesh(_edges(across), _edges(up), cells, **shades)
-        panel.set(xlabel=_label(x), title=label)
-    panels[0].set_ylabel(_label(along))
-    figure.colorbar(image, ax=list(panels), label=_label(y))
+        panel.set(xlabel=_label(result, x), title=label)
+    panels[0].set_ylabel(_label(result, along))
+    figure.colorbar(image, ax=list(panels), label=_label(result, y))
 
 
 def _scatter_matrix(figure: Any, result: Any, names: list[str]) -> None:
@@ -144,13 +143,16 @@ def _scatter_matrix(figure: Any, result: Any, names: list[str]) -> None:
                 panel.hist(across[np.isfinite(across)], bins=24, color="0.6")
             else:
                 panel.scatter(across, up, s=6, c=columns[-1])
-            panel.set(xlabel=_label(names[j]) if i == size - 1 else "", ylabel=_label(names[i]) if j == 0 else "")
+            panel.set(
+                xlabel=_label(result, names[j]) if i == size - 1 else "",
+                ylabel=_label(result, names[i]) if j == 0 else "",
+            )
             panel.tick_params(labelsize=7)
 
 
-def _label(name: str) -> str:
+def _label(result: Any, name: str) -> str:
     """Text of an axis: the name of a column, and its unit."""
-    unit = unit_of(name)
+    unit = result.units.get(name)
     return f"{name} [{unit.replace('^2', '²').replace('^3', '³')}]" if unit else name
 
 

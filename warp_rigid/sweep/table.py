@@ -57,7 +57,8 @@ class SweepResult:
 
     def __repr__(self) -> str:
         """Show the number of runs."""
-        return f"SweepResult({len(self)} runs of {self.about.get('scene')}, {len(self.failed)} failed)"
+        scene = str(self.about.get("scene")).partition(":")[0]
+        return f"SweepResult({len(self)} runs of {scene}, {len(self.failed)} failed)"
 
     def _repr_html_(self) -> str:
         return html_of(self)
@@ -112,7 +113,9 @@ class SweepResult:
     @property
     def units(self) -> dict[str, str]:
         """Units by the names of the columns that have one."""
-        return {name: unit for name in self.names if (unit := unit_of(name)) is not None}
+        stated = self.about.get("units", {})
+        found = {name: unit_of(name) or stated.get(name) for name in self.names}
+        return {name: str(unit) for name, unit in found.items() if unit}
 
     def to_arrow(self) -> Any:
         """The rows as a pyarrow.Table, with units as the metadata `unit` of the fields."""
@@ -252,6 +255,7 @@ class ResultFile:
             self.trajectories.add(recorded, poses)
         for observed, looks in batch.series:
             self.series.add(observed, looks)
+        self.about["units"] = {**self.about.get("units", {}), **batch.units}
         self.add(batch.rows)
 
     def add(self, rows: Iterable[dict[str, Any]]) -> None:
@@ -287,6 +291,7 @@ class ResultFile:
         before = read(self.path)
         check_same_sweep(self.path, before.about, self.about)
         self.rows = {row["id"]: row for row in before.rows if row["status"] in FINISHED}
+        self.about["units"] = before.about.get("units", {})
 
 
 def check_same_sweep(path: Any, before: dict[str, Any], now: dict[str, Any]) -> None:
@@ -395,7 +400,8 @@ def merge(paths: Sequence[Any]) -> SweepResult:
                 rows[row["id"]] = row
     for name in ("scene", "runs"):
         metadata_field(parts[0].about, name)
-    about = {**parts[0].about, "shard": None, "merged": [str(path) for path in paths]}
+    units = {name: unit for part in parts for name, unit in part.about.get("units", {}).items()}
+    about = {**parts[0].about, "shard": None, "merged": [str(path) for path in paths], "units": units}
     return SweepResult(list(rows.values()), about)
 
 
