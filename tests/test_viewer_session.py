@@ -105,6 +105,17 @@ def test_a_scene_without_variants_starts_with_its_own_settings(falling):
     assert falling.variant == "default" and falling.sim.get("contact_iterations")[0] == 10
 
 
+def test_it_starts_as_the_variant_default_which_changes_nothing(tmp_path):
+    """Not as the first one of the file, whose settings the simulation does not have."""
+    path = tmp_path / "falling.py"
+    path.write_text(f"{FALLING}\nVARIANTS = {{'off': {{'shock_propagation': 'off'}}, 'default': {{}}}}\n")
+    session = Session(str(path), device="cpu")
+    assert session.variant == "default" and session.sim.get("shock_propagation")[0] == "two_pass"
+    path.write_text(f"{FALLING}\nVARIANTS = {{'default': {{'sleeping': True}}}}\n")
+    with pytest.raises(ValueError, match="VARIANTS default must be {}; the settings of the scene are SETTINGS"):
+        Session(str(path), device="cpu")
+
+
 def test_verdicts_are_those_of_a_run():
     session = Session("seesaw", device="cpu")
     plan = runner.plan_run(runner.find_scene("seesaw"), device="cpu", fps=30)

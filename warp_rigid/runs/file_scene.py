@@ -7,7 +7,7 @@ Besides the function `scene(**parameters)` the file may define
 - `outcome(sim)` or `outcome(sim, parameters)`: called at the end, returns by name the measured values, (envs,), in SI
   units. With a unit to show them in, it is a tuple (values, "mm"). Booleans are a verdict, also (values, booleans) and
   (values, booleans, "mm"). Or a class as the built-in scenes have, made with the scene, with `observe` and `verdicts`;
-- `VARIANTS`: settings to compare, by name; the first is the default;
+- `VARIANTS`: settings to compare, by name; "default", which changes nothing, is always the first;
 - `vary(sim, **parameters)`: gives each environment of a batch a different start;
 - `SETTINGS`: differences from `Settings()` that the scene needs;
 - `DURATION`: duration of a run [s].
@@ -213,7 +213,9 @@ def _variants(path: Path, module: ModuleType) -> dict[str, dict[str, Any]]:
     if not isinstance(variants, dict) or not all(isinstance(name, str) for name in variants):
         raise ValueError(f"{path}: VARIANTS must be a dictionary of settings by name, got {shown(variants)}")
     given = {name: _settings(path, f"VARIANTS {name}", changes, dt=False) for name, changes in variants.items()}
-    return given if "default" in given else {"default": {}, **given}
+    if given.get("default"):
+        raise ValueError(f"{path}: VARIANTS default must be {{}}; the settings of the scene are SETTINGS")
+    return {"default": {}, **given}
 
 
 def _settings(path: Path, what: str, changes: Any, dt: bool) -> dict[str, Any]:
