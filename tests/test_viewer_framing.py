@@ -50,6 +50,24 @@ def test_bodies_fill_the_part_of_the_page_that_the_panel_leaves(width, height, f
     assert part > 0.3 or np.ptp(at[:, 1]) * height / width > 0.3
 
 
+def test_a_page_shows_a_kinematic_body_that_does_not_move_yet():
+    """A gate at the end of a belt, which is apart from the parcels; a film shows it once it moves."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    for i in range(5):
+        scene.add_body(wr.Box((0.08, 0.08, 0.08)), position=(-1.3 + 0.3 * i, 0, 0.08))
+    path = wr.PosePath([0, 2, 2.5], [(1, 0, 0.16), (1, 0, 0.16), (1, 0, 0.6)])
+    scene.add_kinematic(wr.Box((0.02, 0.25, 0.15)), path=path)
+    view, far = SimpleNamespace(), wr.Box((0.02, 0.25, 0.15))
+    film = film_from_recording(wr.record(wr.Simulator(scene, device="cpu"), frames=0))
+    look_from(view, film, 1280, 900)
+    assert np.abs(on_page(view, (1, 0, 0.16), 1280, 900)).max() < 1.0
+    scene.add_kinematic(far, position=(30, 0, 0.16))
+    beside = SimpleNamespace()
+    look_from(beside, film_from_recording(wr.record(wr.Simulator(scene, device="cpu"), frames=0)), 1280, 900)
+    assert np.allclose(beside.position, view.position)
+
+
 def test_the_page_shows_the_camera_of_the_scene():
     view = SimpleNamespace()
     look_from(view, film_from_recording(tower(wr.Camera((3, -1, 2), (0, 0, 0.5), 50.0))), 1000, 800)

@@ -14,6 +14,7 @@ from warp_rigid.render.raycast import LAMP_RADIUS
 from warp_rigid.render.shading import CameraView
 from warp_rigid.rotations import rotate
 from warp_rigid.scene.camera import Camera
+from warp_rigid.scene.scene import Motion
 
 TOWARD_LIGHT = (-0.35, -0.55, 1.0)
 DEFAULT = Camera()
@@ -44,8 +45,8 @@ FRAMED = 2.0
 """Size up to which a fixed body near the moving ones is kept in view, relative to that of all of these together."""
 FOLLOWED_PART = 3.0
 """Height of the picture, relative to the body that a camera follows."""
-FRAMED_NEAR = 0.5
-"""Distance up to which such a body is near, relative to that size."""
+FRAMED_NEAR, WAITING_NEAR = 0.5, 2.0
+"""Distances up to which such a body is near, relative to that size; the second one of kinematic bodies."""
 AFTERMATH = 0.8
 """Time that a film shows after the event [s]."""
 
@@ -286,7 +287,7 @@ def fit_camera(points: np.ndarray, aspect: float, height: int, camera: Camera = 
 
 
 def points_to_see(film: Film, frames) -> np.ndarray:
-    """Bounding box corners of the dynamic and the moving bodies, and of small fixed bodies near them, (points, 3) [m].
+    """Bounding box corners of the dynamic and the moving bodies, and of small other ones near them, (points, 3) [m].
 
     Args:
         film: the film.
@@ -311,11 +312,13 @@ def points_to_see(film: Film, frames) -> np.ndarray:
     room = LONELY_ROOM * own * min(1.0, own / max(size, 1e-9))
     points = np.concatenate([points + room * np.array((*side, 0.0)) for side in SIDES])
 
-    still = placed(~moving & ~flat, frames[0])
+    others = ~moving & ~flat
+    still = placed(others, frames[0])
     lower, upper = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     apart = np.maximum(still.min(axis=1) - upper, lower - still.max(axis=1)).clip(min=0.0)
     kept = np.linalg.norm(np.ptp(still, axis=1), axis=1) < FRAMED * size
-    kept &= np.linalg.norm(apart, axis=1) < FRAMED_NEAR * size
+    near = np.where(film.motion[others] == Motion.KINEMATIC, WAITING_NEAR, FRAMED_NEAR)
+    kept &= np.linalg.norm(apart, axis=1) < near * size
     return np.concatenate([points.reshape(-1, 3), still[kept].reshape(-1, 3)])
 
 
