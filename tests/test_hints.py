@@ -85,6 +85,20 @@ def test_meshes_of_another_size_than_the_other_bodies(size, other, motion, words
     assert all(words in text and "body part" in text and "scale=" in text for text in found)
 
 
+def test_a_mesh_of_another_unit_is_named_before_its_mass_is_refused():
+    scene = wr.Scene()
+    box = trimesh.creation.box((5, 4, 2))
+    scene.add_body(wr.Mesh(box.vertices, box.faces, 8), position=(0, 0, 3), name="part")
+    scene.add_body(wr.Sphere(0.02))
+
+    def refused():
+        with pytest.raises(ValueError, match="mass: the heaviest dynamic body"):
+            wr.Simulator(scene, device="cpu")
+
+    (found,) = hinted(refused)
+    assert "body part: its mesh is 5 m long" in found and "0.001 for mm" in found
+
+
 def test_an_image_that_no_shape_shows(tmp_path):
     Image.new("RGB", (2, 2)).save(tmp_path / "image.png")
     scene = wr.Scene()

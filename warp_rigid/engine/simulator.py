@@ -105,13 +105,15 @@ class Simulator:
         capacity: Mapping[str, int] | None = None,
     ) -> None:
         """Upload the scenes and compile the step."""
-        layout, chosen = layout_of(scene, num_envs), choose_device(device)
+        layout, chosen, checked = layout_of(scene, num_envs), choose_device(device), check_settings(settings)
+        for hint in hints_on(layout.scenes, checked.dt):  # before the errors to which wrong units lead
+            warnings.warn(hint, stacklevel=2)
         self._lock = threading.RLock()
         self._stream = wp.get_stream(chosen) if chosen.is_cuda else None
         with exclusive():
             self._world = World(
                 layout,
-                check_settings(settings),
+                checked,
                 chosen,
                 seed,
                 on_overflow,
@@ -121,8 +123,6 @@ class Simulator:
             )
         self.scenes, self.scene_of = layout.scenes, layout.scene_of
         self.settings, self.device = self._world.settings, self._world.device
-        for hint in hints_on(layout.scenes, self.settings.dt):
-            warnings.warn(hint, stacklevel=2)
         self.num_envs, self.num_bodies = layout.num_envs, layout.most_bodies
         self.first_body, self.exists = layout.first_body, layout.rows != LACKING
         self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
