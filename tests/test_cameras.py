@@ -11,6 +11,7 @@ import warp_rigid as wr
 from warp_rigid.commands.cli import main
 from warp_rigid.render.film import film_from_recording, film_from_usd
 from warp_rigid.render.framing import CameraPath, fit_camera, points_to_see
+from warp_rigid.runs import runner
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import camera_of_text
 from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
@@ -276,3 +277,17 @@ def test_fitted_cameras_of_any_direction_hold_all_points():
     for camera in (wr.Camera.orbit(0, 90), wr.Camera.orbit(123, -90, field_of_view=80), wr.Camera.orbit(-200, 45)):
         view = fit_camera(points, 1.5, 100, camera)
         assert max(np.abs(on_picture(view, point)[0]).max() for point in points) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nobody", r"camera: must be values such as .* \(the scene has no cameras of its own\), got 'nobody'"),
+        ("fov=30", "camera: unknown value 'fov'; .*field_of_view"),
+        ("azimuth=3 field_of_view", "camera: must be NAME=VALUE with spaces between them, got 'field_of_view'"),
+    ],
+)
+def test_messages_about_cameras_of_the_command_line(text, message):
+    demo = runner.find_scene("seesaw")
+    with pytest.raises(ValueError, match=message):
+        runner.plan_run(demo, device="cpu", camera=text)

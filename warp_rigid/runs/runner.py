@@ -185,8 +185,8 @@ def _camera(text: str, scene: Scene) -> Camera:
     found = [path for path in known if text in (path, path.rpartition("/")[2])]
     if len(found) == 1:
         return known[found[0]]
-    names = f"one of the cameras {listed(list(known))}" if known else "the scene has no cameras of its own"
-    raise ValueError(f"camera: must be values such as position=3,0,2 look_at=0,0,0 or {names}, got {shown(text)}")
+    names = f" or one of the cameras {listed(list(known))}" if known else " (the scene has no cameras of its own)"
+    raise ValueError(f"camera: must be values such as position=3,0,2 look_at=0,0,0{names}, got {shown(text)}")
 
 
 def execute(

@@ -179,10 +179,10 @@ def camera_of_text(text: str) -> Camera:
     values: dict[str, Any] = {}
     for part in text.split():
         name, _, value = part.partition("=")
-        if name not in known or not value:
-            raise ValueError(
-                f"camera: must be NAME=VALUE with spaces between them, got {shown(part)}{suggestion(name, known)}"
-            )
+        if name not in known:
+            raise ValueError(f"camera: unknown value {shown(name)}{suggestion(name, known)}")
+        if not value:
+            raise ValueError(f"camera: must be NAME=VALUE with spaces between them, got {shown(part)}")
         if name in values:
             raise ValueError(f"camera: {name} is given twice")
         values[name] = value if name == "follow" else _numbers(name, value)
