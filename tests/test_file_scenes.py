@@ -120,7 +120,9 @@ def test_verdicts_are_shown_where_the_outcome_has_some(tmp_path, capsys):
     path = tmp_path / "levers.py"
     path.write_text(LEVERS)
     assert cli.main(["run", str(path), "--frames", "30", "--device", "cpu"]) == 0
-    lines = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines() if line}
+    out = capsys.readouterr().out
+    assert "2 of 2 verdicts are yes" in out
+    lines = {line.split()[0]: line.split()[1:] for line in out.splitlines() if line}
     assert (lines["count"], lines["travel"], lines["moved"]) == (["2"], ["500", "mm"], ["yes"])
     assert lines["error"][1:] == ["mm", "yes"]
     session = Session(str(path), device="cpu")

@@ -424,7 +424,7 @@ def _conclusion(verdicts: list[dict[str, Any]]) -> str:
     judged = _judged(verdicts)
     if not judged:
         found = [passed for verdict in verdicts for passed in verdict["passed"] or []]
-        return f"{sum(found)} of {len(found)} verdicts hold; nothing is expected of this run"
+        return f"{sum(found)} of {len(found)} verdicts are yes"
     return f"{sum(judged)} of {len(judged)} verdicts as expected"
 
 

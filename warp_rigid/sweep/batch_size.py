@@ -90,9 +90,10 @@ def split_into_batches(
             some = runs[first : first + size]
             batches += [some] if batch != "auto" else _fitting(some, int(MEMORY_FRACTION * memory))
     log.info(
-        "%d runs in %d batches of at most %d; at most %.3g MB per batch, %.3g GB free",
+        "%d runs in %d %s of at most %d; at most %.3g MB per batch, %.3g GB free",
         sum(map(len, batches)),
         len(batches),
+        "batch" if len(batches) == 1 else "batches",
         max(map(len, batches)),
         max(map(batch_bytes, batches)) / 1e6,
         memory / 1e9,
