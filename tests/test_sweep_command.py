@@ -49,6 +49,7 @@ def test_a_sweep_writes_its_table_and_picture(run, tmp_path):
     )
     status, out, err = run("sweep", "ball.py", *arguments, "--plot", "out/t.png", *SMALL)
     assert status == 0 and "6 runs, 0 failed" in out and "drift: " in out and "wrote out/t.png" in out
+    assert "toppled: yes in 0 of 6 runs" in out
     assert "6 runs in 1 batch of at most 6; at most" in err
     table = read("out/t.parquet")
     assert table.column("height").tolist() == [1, 1, 1.5, 1.5, 2, 2] and table.about["fixed"] == {"friction": 0.2}

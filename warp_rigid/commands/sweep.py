@@ -139,7 +139,9 @@ def print_result(result: Any, files: list[str], as_json: bool, seconds: float | 
         lines = [f"{result.about['scene'].partition(':')[0]}: {len(result)} runs, {len(failed)} failed{took}"]
         for name in result.metrics:
             values = result.column(name)
-            if values.dtype.kind in "iufb" and len(values):
+            if values.dtype == bool:
+                lines.append(f"{name}: yes in {values.sum()} of {len(values)} runs")
+            elif values.dtype.kind in "iuf" and len(values):
                 finite = [value for value in values.astype(float).tolist() if value == value]
                 if finite:
                     unit = f" {result.units[name]}" if name in result.units else ""
