@@ -140,6 +140,16 @@ def test_steps_that_do_not_resolve_the_start(dt, moving, words):
     assert len(found) == (words is not None) and all(words in text and "ball" in text for text in found)
 
 
+@pytest.mark.parametrize(("seconds", "words"), [(0.01, "gate moves by 3.3 times its size"), (0.1, None)])
+def test_steps_that_do_not_resolve_a_path(seconds, words):
+    """A gate of 0.25 m that rises by 2 m in its last interval, at dt 1/240."""
+    scene = wr.Scene()
+    path = wr.PosePath([0, 1, 1 + seconds], [(0, 0, 0.1), (0, 0, 0.1), (0, 0, 2.1)])
+    scene.add_kinematic(wr.Box((0.02, 0.125, 0.1)), path=path, name="gate")
+    found = hints_on([scene], 1 / 240)
+    assert len(found) == (words is not None) and all(words in text for text in found)
+
+
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "glb"])
 def test_meshes_in_millimetres(tmp_path, suffix):
     """glTF is in metres by definition."""

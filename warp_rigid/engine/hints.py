@@ -92,7 +92,7 @@ def _numbers(values: Sequence[float]) -> str:
 
 
 def _long_steps(scene: Scene, dt: float) -> list[str]:
-    """Steps in which a body moves by more than its size, or turns by more than a quarter turn."""
+    """Steps in which a body moves by more than its size, also along its path, or turns by more than a quarter turn."""
     moving = [body for body in scene.bodies if body.motion != Motion.STATIC and body.active]
     if not moving:
         return []
@@ -100,6 +100,10 @@ def _long_steps(scene: Scene, dt: float) -> list[str]:
     size = extents(shapes).max(axis=1)[shape_of]
     gained = dt * np.linalg.norm(scene.gravity) * is_dynamic(moving)
     speed = np.linalg.norm(column(moving, "linear_velocity"), axis=1) + gained
+    for index, body in enumerate(moving):
+        if body.path is not None:
+            ways = np.linalg.norm(np.diff(body.path.positions, axis=0), axis=1)
+            speed[index] = (ways / np.maximum(np.diff(body.path.times), dt)).max()
     spin = np.linalg.norm(column(moving, "angular_velocity"), axis=1)
     found = []
     for rate, most, text in (
