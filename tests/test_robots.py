@@ -213,6 +213,7 @@ def test_a_named_pipe_behind_a_description_is_not_waited_for(converter, tmp_path
 ARM = """<robot name="arm"><link name="upper"><inertial><mass value="2"/>
 <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
 <collision><geometry><mesh filename="package://my_arm/meshes/upper.stl"/></geometry></collision></link></robot>"""
+BALL = '<sphere radius="0.1"/>'
 
 
 @pytest.mark.parametrize(
@@ -292,3 +293,12 @@ def test_links_of_mass_0_are_named(robots, tmp_path):
     with pytest.warns(UserWarning, match="robot.urdf: links of mass 0 have the mass of their collider: foot"):
         scene = wr.import_robot(tmp_path / "robot.urdf")
     assert any("foot" in str(finding) for finding in scene.import_report.findings)
+
+
+def test_the_first_link_of_a_urdf_file_is_fixed_and_can_be_released(robots, tmp_path):
+    """It falls by g dt^2 n (n + 1) / 2 in n steps, in which the velocity is updated before the position."""
+    (tmp_path / "arm.urdf").write_text(ARM.replace('<mesh filename="package://my_arm/meshes/upper.stl"/>', BALL))
+    sim = wr.Simulator(wr.import_robot(tmp_path / "arm.urdf"), num_envs=2, device="cpu")
+    sim.set("joint_broken", True, joints=["root_joint"], envs=[1])
+    sim.step(120)
+    np.testing.assert_allclose(sim.get("position")[:, 0, 2], (0.0, -9.81 * 120 * 121 / 2 / 240**2), rtol=1e-5)
