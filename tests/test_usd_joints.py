@@ -233,3 +233,26 @@ def test_bodies_without_mass_are_parts_of_what_fixed_joints_hold_them_to(tmp_pat
     assert told["/World/Base"].endswith("it is a part of the world")
     assert told["/World/Frame"].endswith("it is a part of /World/Arm")
     assert told["/World/Loose"] == "it has no enabled collider, and no mass"
+
+
+def test_a_part_without_moments_of_inertia_adds_its_mass_to_its_body(tmp_path):
+    """Half a kilogram that a frame without mass holds 0.5 m above a cube of 1.5 kg, against the parallel axis theorem.
+
+    The cube turns: the common centre, 0.125 m above that of the cube, moves with it.
+    """
+    place = 'double3 xformOp:translate = (0, 0, 0.5)\n uniform token[] xformOpOrder = ["xformOp:translate"]'
+    spin = "vector3f physics:angularVelocity = (90, 0, 0)"
+    text = rigid("Cube", "Cube", f"double size = 1; float physics:mass = 1.5; {spin}", ["PhysicsMassAPI"])
+    for name, mass in (("Frame", 0.0), ("Camera", 0.5)):
+        apis = 'prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]'
+        text += f'def Xform "{name}" ({apis}) {{\n float physics:mass = {mass}\n {place}\n}}\n'
+    for name, first, second in (("A", "Cube", "Frame"), ("B", "Frame", "Camera")):
+        ends = f"rel physics:body0 = </World/{first}>\n rel physics:body1 = </World/{second}>"
+        text += f'def PhysicsFixedJoint "{name}" {{\n {ends}\n}}\n'
+    (body,) = wr.import_usd(write_stage(tmp_path / "camera.usda", text)).bodies
+    assert body.mass == pytest.approx(2.0)
+    np.testing.assert_allclose(body.shape.center_of_mass, (0, 0, 0.125), atol=1e-7)
+    tensor = body.shape.inertia * body.mass / body.shape.volume
+    across = 1.5 / 6 + 1.5 * 0.5 / 2.0 * 0.5**2
+    np.testing.assert_allclose(tensor, np.diag((across, across, 1.5 / 6)), atol=1e-7)
+    np.testing.assert_allclose(body.linear_velocity, (0, -0.125 * np.pi / 2, 0), atol=1e-6)

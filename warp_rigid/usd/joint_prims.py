@@ -6,6 +6,7 @@ first body of a joint of a scene. An axis Y or Z is turned to the x axis of both
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -27,7 +28,7 @@ from warp_rigid.scene.joints.placing import local_frame, rotation_of_x_to, world
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.geometry import MARK, custom_data, gf_quaternion, quaternion_of_matrix
-from warp_rigid.usd.masses import states_no_mass
+from warp_rigid.usd.masses import positive, states_no_mass, with_point_mass
 from warp_rigid.usd.metadata import lineage
 from warp_rigid.usd.prims import described
 from warp_rigid.usd.serial_joints import SHARE, insert_links
@@ -94,10 +95,27 @@ class JointReader:
                 self._parts[part] = whole
                 left.pop(part, None)
         for part, whole in self._parts.items():
-            told = f"{self._massless[part]}: it is a part of {whole or 'the world'}"
-            self._change(self._stage.GetPrimAtPath(part), told)
+            prim, told = (
+                self._stage.GetPrimAtPath(part),
+                f"{self._massless[part]}: it is a part of {whole or 'the world'}",
+            )
+            self._change(prim, told)
+            with suppress(ValueError):  # its mass cannot be read, or what it is a part of was left out
+                self._add_mass(prim)
         for path, reason in left.items():
             self._leave_out(path, reason)
+
+    def _add_mass(self, part: Usd.Prim) -> None:
+        """Add the mass of a part without moments of inertia to the body that it is a part of."""
+        index, mass = self._body(part), positive(UsdPhysics.MassAPI(part).GetMassAttr())
+        if index is not None and mass is not None and self._scene.bodies[index].motion == Motion.DYNAMIC:
+            position, rotation, stretch = self._frame_of(part)
+            given = UsdPhysics.MassAPI(part).GetCenterOfMassAttr()
+            center = (
+                given.Get() if given and given.HasAuthoredValue() and np.isfinite(given.Get()).all() else np.zeros(3)
+            )
+            point = position + rotation @ (stretch @ np.array(center, dtype=np.float64))
+            self._scene.bodies[index] = with_point_mass(self._scene.bodies[index], point, mass * self._kilogram)
 
     def _lighten(self, found: dict[str, Any]) -> None:
         """Give bodies with colliders, for which the file states no mass, little of that of what they are fixed to."""

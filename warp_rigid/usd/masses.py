@@ -9,7 +9,7 @@ import numpy as np
 from pxr import Usd, UsdPhysics
 
 from warp_rigid import rotations
-from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.scene import Body, Scene
 from warp_rigid.scene.shapes import Compound, Shape
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
@@ -158,6 +158,24 @@ def states_no_mass(body: Usd.Prim) -> bool:
     tensor = body.GetAttribute("newton:inertia").Get() if body else None
     mass = UsdPhysics.MassAPI(body).GetMassAttr().Get() if body else None
     return tensor is not None and not any(tensor) and not mass
+
+
+def with_point_mass(body: Body, point: np.ndarray, mass: float) -> Body:
+    """A body with a further mass [kg] at a point of the world (3,) that moves with it."""
+    turned = rotations.inverse(np.array(body.orientation))
+    arm = rotations.rotate(turned, point - body.position) - body.shape.center_of_mass
+    total = body.mass + mass
+    center = body.shape.center_of_mass + mass / total * arm
+    tensor = body.shape.inertia * (body.mass / body.shape.volume) + body.mass * mass / total * steiner(arm)
+    shape = with_distribution(body.shape, center, tensor / total)
+    return replace(body, shape=shape, mass=total, linear_velocity=velocity_at(body, center))
+
+
+def velocity_at(body: Body, point: np.ndarray) -> tuple[float, float, float]:
+    """Velocity of a point in the frame of a body [m/s]."""
+    arm = rotations.rotate(np.array(body.orientation), np.asarray(point) - body.shape.center_of_mass)
+    x, y, z = (np.array(body.linear_velocity) + np.cross(body.angular_velocity, arm)).tolist()
+    return x, y, z
 
 
 def scale_to_total(stage: Usd.Stage, scene: Scene) -> None:

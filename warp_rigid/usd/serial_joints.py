@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_rigid import rotations
 from warp_rigid.scene.scene import Body, Scene
 from warp_rigid.scene.shapes import Compound
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import steiner
+from warp_rigid.usd.masses import velocity_at
 
 SHARE = 1e-3
 """Share of a body's mass and moments of inertia that each body between two of its joints takes."""
@@ -43,7 +43,7 @@ def insert_links(scene: Scene, body: int, anchors: Sequence[np.ndarray], names: 
                 mass=link_mass,
                 position=given.position,
                 orientation=given.orientation,
-                linear_velocity=_velocity_at(given, anchor),
+                linear_velocity=velocity_at(given, anchor),
                 angular_velocity=given.angular_velocity,
                 name=name,
             )
@@ -63,11 +63,4 @@ def _split(body: Body, point: np.ndarray) -> tuple[Body, float, np.ndarray]:
     rest = tensor - part - (taken / (1.0 - share)) * steiner(arm)
     moved = center - share / (1.0 - share) * arm
     shape = with_distribution(body.shape, moved, rest / left)
-    return replace(body, shape=shape, mass=left, linear_velocity=_velocity_at(body, moved)), taken, part
-
-
-def _velocity_at(body: Body, point: np.ndarray) -> tuple[float, float, float]:
-    """Velocity of a point in the frame of a body [m/s]."""
-    arm = rotations.rotate(np.array(body.orientation), np.asarray(point) - body.shape.center_of_mass)
-    x, y, z = (np.array(body.linear_velocity) + np.cross(body.angular_velocity, arm)).tolist()
-    return x, y, z
+    return replace(body, shape=shape, mass=left, linear_velocity=velocity_at(body, moved)), taken, part
