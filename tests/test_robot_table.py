@@ -1,4 +1,4 @@
-"""The example that compares robots with MuJoCo, for two robots of the table in docs/robots.md."""
+"""The example that compares robots with MuJoCo, for three robots of the table in docs/robots.md."""
 
 import importlib.util
 import shutil
@@ -24,7 +24,8 @@ def example():
 
 
 @pytest.mark.parametrize(
-    ("name", "angle", "position"), [("Panda, arm and gripper", 6.4e-3, 5.2), ("Go2, quadruped", 2.0e-3, 0.44)]
+    ("name", "angle", "position"),
+    [("Panda, arm and gripper", 6.4e-3, 5.2), ("Go2, quadruped", 2.0e-3, 0.44), ("Bolt, biped", 1.9e-2, 1.3)],
 )
 def test_a_robot_moves_as_in_mujoco(example, name, angle, position):
     """Within twice the differences of the page, in radians and millimetres; masses to float32."""

@@ -290,7 +290,9 @@ def test_links_of_mass_0_are_named(robots, tmp_path):
     links = [link.format(name, mass) + ball for name, mass in (("base", 1), ("foot", 0))]
     joint = "<joint name='j' type='continuous'><parent link='base'/><child link='foot'/><axis xyz='0 1 0'/></joint>"
     (tmp_path / "robot.urdf").write_text(f"<robot name='m'>{''.join(links)}{joint}</robot>")
-    with pytest.warns(UserWarning, match="robot.urdf: links of mass 0 have the mass of their collider: foot"):
+    with pytest.warns(
+        UserWarning, match="robot.urdf: links of mass 0 get a mass, a small one where they are fixed to another: foot"
+    ):
         scene = wr.import_robot(tmp_path / "robot.urdf")
     assert any("foot" in str(finding) for finding in scene.import_report.findings)
 

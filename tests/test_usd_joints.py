@@ -199,14 +199,15 @@ def test_a_joint_with_a_group_of_bodies_holds_the_world(tmp_path):
 def test_a_body_with_colliders_whose_file_states_no_mass_is_light(tmp_path):
     """A guard on an arm, as converters write links of URDF with a mass of 0: its density is not used for its mass."""
     text = rigid("Arm", "Cube", "double size = 1; float physics:mass = 2", ["PhysicsMassAPI"])
-    for name, tensor in (("Guard", [0] * 6), ("Block", [1, 1, 1, 0, 0, 0])):
-        none = f"double size = 1; float physics:mass = 0; double[] newton:inertia = {tensor}"
+    some, mass = [1e-6, 1e-6, 1e-6, 0, 0, 0], "float physics:mass = 0;"
+    for name, stated, tensor in (("Guard", mass, [0] * 6), ("Foot", mass, some), ("Block", "", some)):
+        none = f"double size = 1; {stated} double[] newton:inertia = {tensor}"
         text += rigid(name, "Cube", none, ["PhysicsMassAPI"])
         ends = f"rel physics:body0 = </World/Arm>\n rel physics:body1 = </World/{name}>"
         text += f'def PhysicsFixedJoint "{name}Joint" {{\n {ends}\n}}\n'
     scene = wr.import_usd(write_stage(tmp_path / "guard.usda", text))
     mass = {body.name: body.mass for body in scene.bodies}
-    assert mass == pytest.approx({"Arm": 2.0, "Guard": 0.002, "Block": 1000.0})
+    assert mass == pytest.approx({"Arm": 2.0, "Guard": 0.002, "Foot": 0.002, "Block": 1000.0})
     told = {finding.path: finding.reason for finding in scene.import_report.findings}
     assert told["/World/Guard"] == "a mass of 0: it has 0.1% of the mass of /World/Arm"
 

@@ -153,11 +153,12 @@ def is_of_mujoco(collider: Usd.Prim) -> bool:
 def states_no_mass(body: Usd.Prim) -> bool:
     """Whether a file states that a body has no mass, such as a link of URDF that has only colliders.
 
-    USD ignores a mass of zero, but in Newton's schema such a link also has an inertia tensor of zeros.
+    USD ignores a mass of zero, but such a link also has an inertia tensor of Newton's schema.
     """
-    tensor = body.GetAttribute("newton:inertia").Get() if body else None
-    mass = UsdPhysics.MassAPI(body).GetMassAttr().Get() if body else None
-    return tensor is not None and not any(tensor) and not mass
+    if not body or (tensor := body.GetAttribute("newton:inertia").Get()) is None:
+        return False
+    mass = UsdPhysics.MassAPI(body).GetMassAttr()
+    return not mass.Get() and (not any(tensor) or mass.HasAuthoredValue())
 
 
 def with_point_mass(body: Body, point: np.ndarray, mass: float) -> Body:

@@ -32,7 +32,7 @@ def name_left_out(path: Path, findings: Iterable[ImportFinding]) -> list[ImportF
 
 
 def without_mass(path: Path) -> list[str]:
-    """Names of the links of a URDF file that state a mass of 0 and have a collider, from which they get a mass."""
+    """Names of the links of a URDF file that state a mass of 0 and have a collider, which get a mass."""
     if path.suffix.lower() != ".urdf":
         return []
     links = (link for root in _included(path, set()) for link in root.findall("link"))

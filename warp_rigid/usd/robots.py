@@ -87,7 +87,7 @@ def import_robot(
     if not self_collision and _filter_mechanisms(scene):
         findings.append(ImportFinding(path.name, "changed", "bodies of the same mechanism do not collide"))
     if massless := without_mass(path):
-        reason = f"links of mass 0 have the mass of their collider: {', '.join(massless)}"
+        reason = f"links of mass 0 get a mass, a small one where they are fixed to another: {', '.join(massless)}"
         findings.append(ImportFinding(path.name, "changed", reason))
         warnings.warn(f"{path}: {reason}", stacklevel=2)
     report = scene.import_report
