@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.camera import Camera
+from warp_rigid.scene.look import Look
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
@@ -29,6 +30,8 @@ LEAST_WAY = 0.5
 """Way on the belt from which it is compared with the closed form [m]."""
 BINS = {"straight": (END + 0.65, 0.0), "side": (0.8, 0.95)}
 BIN_HALF, WALL_HALF, BIN_HEIGHT = 0.55, 0.02, 0.3
+RUBBER = (0.03, 0.045, 0.06)
+"""Colour of the belt, in linear light."""
 
 
 def build(parcels: int = 6, speed: float = 1.5, friction: float = 0.5) -> Scene:
@@ -46,13 +49,14 @@ def build(parcels: int = 6, speed: float = 1.5, friction: float = 0.5) -> Scene:
     scene.camera = Camera.orbit(50.0, 30.0)
     grounds.add_ground(scene, name="ground")
     begin = FIRST - PITCH * (parcels - 1) - 0.3
-    scene.add_static(
+    belt = scene.add_static(
         Box((0.5 * (END - begin), HALF_WIDTH, 0.5 * TOP)),
         position=(0.5 * (begin + END), 0.0, 0.5 * TOP),
         surface_velocity=(speed, 0, 0),
         friction=friction,
         name="belt",
     )
+    scene.looks[belt] = Look(RUBBER)
     scene.add_kinematic(Box(ARM_HALF), path=arm_path(parcels, speed, friction), friction=0.0, name="arm")
     for name, middle in BINS.items():
         grounds.add_bin(scene, BIN_HALF, BIN_HEIGHT, 2.0 * WALL_HALF, center=middle, names=f"{name}_bin")

@@ -7,6 +7,7 @@ import pytest
 
 from tests.scene_oracles import StillSimulator, about
 from warp_rigid import scenes
+from warp_rigid.render.appearance import body_colors
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
 from warp_rigid.scenes import leaning_tower, skull_and_brain, sorting_line
@@ -412,6 +413,13 @@ def test_sorting_line_counts_parcels_and_measures_their_ways():
     verdicts = by_name(outcome.verdicts(sim))
     check(verdicts["sorted"], [3, 2], [True, False])
     check(verdicts["slide"], [0.5**0.5, 0.72**0.5], [True, False])
+
+
+def test_the_belt_of_the_sorting_line_differs_from_the_ground():
+    """In linear light: its upper side is seen in front of the ground."""
+    scene = scenes.load("sorting_line")
+    color = body_colors([body.motion for body in scene.bodies], scene.looks)
+    assert color[scene.index("belt")].max() < 0.25 * color[scene.index("ground")].min()
 
 
 def test_the_arm_of_the_sorting_line_is_closed_for_large_parcels():
