@@ -150,6 +150,20 @@ def test_a_recording_may_have_another_camera_than_its_scene():
     assert wr.record(sim, frames=1, camera=camera).camera == camera
 
 
+def test_a_film_may_have_another_camera_than_its_recording(tmp_path):
+    recording, low = recorded(), wr.Camera.follow("low", distance=2.0)
+    for name, film, options in (
+        ("own", recording, {}),
+        ("other", recording, {"camera": low}),
+        ("kept", recorded(low), {}),
+    ):
+        film.to_gif(tmp_path / f"{name}.gif", width=64, **options)
+    own, other, kept = ((tmp_path / f"{name}.gif").read_bytes() for name in ("own", "other", "kept"))
+    assert other == kept != own and recording.camera is None
+    with pytest.raises(ValueError, match="camera: there is no body 'nobody' to follow"):
+        recording.show(camera=wr.Camera.follow("nobody"))
+
+
 @pytest.mark.parametrize(
     ("make", "name"),
     [

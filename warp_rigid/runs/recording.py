@@ -5,7 +5,7 @@ drawn without the program that made it.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -192,26 +192,35 @@ class Recording:
     def _repr_html_(self) -> str:
         return html_of(self)
 
-    def show(self, *, envs: Sequence[int] | None = None, color: str = "body") -> Inline:
+    def _seen_from(self, camera: Camera | None) -> "Recording":
+        return self if camera is None else replace(self, camera=with_body_index(camera, self.names))
+
+    def show(self, *, envs: Sequence[int] | None = None, color: str = "body", camera: Camera | None = None) -> Inline:
         """Return the film for a notebook: the page of `to_html`, or a GIF if viser is missing or the page too large.
 
         Args:
             envs: see to_gif.
             color: see to_gif.
+            camera: see to_gif.
 
         Raises:
             ValueError: An argument is out of range, or the film is too large for a notebook.
             ModuleNotFoundError: The extras "viewer" and "picture" are not installed.
         """
-        shown = film_of(self, "", None, envs=envs, color=color)
+        shown = film_of(self._seen_from(camera), "", None, envs=envs, color=color)
         assert shown is not None
         return shown
 
     def to_html(
-        self, path: str | PathLike[str] | None = None, *, envs: Sequence[int] | None = None, color: str = "body"
+        self,
+        path: str | PathLike[str] | None = None,
+        *,
+        envs: Sequence[int] | None = None,
+        color: str = "body",
+        camera: Camera | None = None,
     ) -> Inline | None:
         """Write the film as one .html file that plays without a server; see to_gif."""
-        return film_of(self, ".html", path, envs=envs, color=color)
+        return film_of(self._seen_from(camera), ".html", path, envs=envs, color=color)
 
     def to_gif(
         self,
@@ -221,6 +230,7 @@ class Recording:
         color: str = "body",
         width: int | None = None,
         height: int | None = None,
+        camera: Camera | None = None,
     ) -> Inline | None:
         """Render the film in real time as an animated GIF. It ends soon after the bodies are at rest.
 
@@ -233,6 +243,7 @@ class Recording:
             width: width of a panel [pixel]; None for 640 pixels in all (`to_mp4`: 1280), and at least
                 320.
             height: height of a panel [pixel]; None for 9/16 of its width.
+            camera: where it is seen from; None for the camera of the recording.
 
         Returns:
             None with a path. Else an object that a notebook shows, with the HTML as its attribute `html`.
@@ -241,7 +252,7 @@ class Recording:
             ValueError: An argument is out of range, or the film is larger than 16 MB and there is no path.
             ModuleNotFoundError: The extra "picture", or for HTML "viewer", is not installed.
         """
-        return film_of(self, ".gif", path, envs=envs, color=color, width=width, height=height)
+        return film_of(self._seen_from(camera), ".gif", path, envs=envs, color=color, width=width, height=height)
 
     def to_mp4(
         self,
@@ -251,9 +262,10 @@ class Recording:
         color: str = "body",
         width: int | None = None,
         height: int | None = None,
+        camera: Camera | None = None,
     ) -> Inline | None:
         """Render the film in real time as an MP4 video (H.264); see to_gif."""
-        return film_of(self, ".mp4", path, envs=envs, color=color, width=width, height=height)
+        return film_of(self._seen_from(camera), ".mp4", path, envs=envs, color=color, width=width, height=height)
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Recording":
