@@ -240,6 +240,18 @@ def test_a_newer_version_is_told(saved, tmp_path):
     assert f"version must be {VERSION}, got 99" in refused(path)
 
 
+def test_other_thresholds_are_named(saved, tmp_path, caplog):
+    Simulator.load(saved, device="cpu")
+    assert not caplog.records
+    path = with_header(saved, tmp_path / "other", lambda header: header["thresholds"].update(CONVERGED=1.0))
+    Simulator.load(path, device="cpu")
+    (record,) = caplog.records
+    assert "other thresholds of the solver: CONVERGED; results differ" in record.getMessage()
+    path = with_header(saved, tmp_path / "older", lambda header: header.pop("thresholds"))
+    Simulator.load(path, device="cpu")
+    assert len(caplog.records) == 1
+
+
 @pytest.mark.parametrize("name", ["restitution", "surface_velocity"])
 def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path, name):
     def forget(header):

@@ -18,7 +18,7 @@ from tests.oracles import (
 )
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.kernels.constraints.build_contacts import TOUCHING, WIDER
+from warp_rigid.kernels.tuning import TOUCHING, WIDER
 from warp_rigid.scene.scene import COMBINE_RULES, Scene
 from warp_rigid.scene.shapes import Box, Compound, Mesh, Plane, Sphere
 from warp_rigid.scenes.builders import meshes

@@ -47,6 +47,7 @@ def test_doctor_says_what_works(capsys):
     assert report["versions"]["warp-lang"] == wp.__version__
     assert [device["name"] for device in report["devices"]] == ["cpu"]
     assert report["devices"][0]["memory"] >= report["devices"][0]["free"] > 10**8
+    assert report["thresholds"]["SLOP"]["value"] == 1e-4 and "fraction" in report["thresholds"]["SLOP"]["text"]
     names = [check["name"] for check in report["checks"] if check["passed"]]
     assert {"cuda", "kernel cache", "grid cache", "temporary files", "self-test on cpu"} <= {*names}
 

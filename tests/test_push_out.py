@@ -6,7 +6,7 @@ import pytest
 from tests.oracles import GROUND, ground_scene, opened, random_pile, random_quaternion, rotate_about
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.kernels.solve.push_out import RECOVERY, SLOP, WEIGHTLESS
+from warp_rigid.kernels.tuning import RECOVERY, SLOP, WEIGHTLESS
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Sphere
 from warp_rigid.scenes.builders import meshes

@@ -35,24 +35,13 @@ from warp_rigid.kernels.schema import (
     Shapes,
     State,
 )
+from warp_rigid.kernels.tuning import TOUCHING, WIDER
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False})
 
 GONE = wp.constant(-1)
 """Identity of a contact reused from the last step that no longer exists; it has no impulse."""
-
-
-TOUCHING = wp.constant(1.0e-4)
-"""Contacts with a gap up to this fraction of the smaller body's size transmit load without closing the gap.
-
-If gaps of the size of rounding errors had to close first, the load would move from contact to contact in each step. A
-pyramid of 20 rows moves by 0.02 mm with this value, but by millimetres with a fifth of it."""
-
-WIDER = wp.constant(1.05)
-"""Contacts with a gap up to this factor times TOUCHING transmit load, too. Gaps that have just closed exceed TOUCHING
-by rounding errors. Without this factor they would have a small bias velocity in every step, and the solver would seldom
-converge in the first sweep for a stack at rest."""
 
 
 @wp.func

@@ -12,21 +12,12 @@ import warp as wp
 from warp_rigid.kernels.common.arithmetic import quotient
 from warp_rigid.kernels.constraints.contact import IMPULSE, impulse_of, read_contact, set_impulse
 from warp_rigid.kernels.schema import ContactRecord, Contacts
+from warp_rigid.kernels.tuning import ON_A_LINE, PARALLEL_NORMALS, SLIDING_SHARE
 
 wp.set_module_options({"enable_backward": False})
 
 DETERMINATE = wp.constant(3)
 """Number of contacts in a plane whose loads are determined by statics."""
-
-SLIDING = wp.constant(0.99)
-"""Fraction of the friction limit from which a pair counts as sliding. Contacts that stick can share a load as they
-like."""
-
-PARALLEL = wp.constant(0.99999)
-"""Cosine (0.3 degrees) above which two contact normals count as parallel."""
-
-ON_A_LINE = wp.constant(1.0e-5)
-"""Fraction of the sum of the second moments that is added to both, so that contacts on a line have a solution."""
 
 
 @wp.struct
@@ -87,7 +78,7 @@ def slides(begin: int, end: int, contacts: Contacts):
         normal += impulse[0]
         friction += wp.length(wp.vec2(impulse[1], impulse[2]))
     limit = read_contact(begin, contacts.rows).friction * normal
-    return limit > 0.0 and friction > SLIDING * limit
+    return limit > 0.0 and friction > SLIDING_SHARE * limit
 
 
 @wp.func
@@ -112,7 +103,7 @@ def find_load_plane(begin: int, end: int, contacts: Contacts):
             load += impulse_of(c, IMPULSE, contacts)[0] * wp.vec3(1.0, p[0], p[1])
             place += p
             moment += wp.vec3(p[0] * p[0], p[0] * p[1], p[1] * p[1])
-    if n > float(DETERMINATE) and flattest > PARALLEL:
+    if n > float(DETERMINATE) and flattest > PARALLEL_NORMALS:
         plane = linear_load(n, load, place, moment, plane)
     return plane
 

@@ -22,77 +22,35 @@ from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import IslandSolver, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.heap_arrays import MOST_SHARING
 from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Motions, Shapes, State
+from warp_rigid.kernels.tuning import (
+    BUSY,
+    COMPARABLE,
+    EVEN,
+    FLIGHT,
+    HARDLY,
+    LEAST_CALM,
+    LOWEST_STRUCTURE,
+    MOST_CALM,
+    MOST_IN_MOTION,
+    PILE_CONVERGED,
+    PILE_ROUNDS,
+    PILE_ROUNDS_PER_BODY,
+    RESTING,
+    RESTING_SHARE,
+    STRUCTURE_CONVERGED,
+    STRUCTURE_ROUNDING,
+    STRUCTURE_ROUNDS,
+    STRUCTURE_ROUNDS_AT_REST,
+    STRUCTURE_ROUNDS_PER_BODY,
+    SWEEPS_PER_LEVEL,
+    SWEEPS_PER_LEVEL_OF_PILE,
+)
 
 wp.set_module_options({"enable_backward": False})
 
 MOST_PAIRS = wp.constant(MOST_SHARING)
 """Maximum number of pairs that share a body's mass in rounds."""
 
-FLIGHT = wp.constant(0.05)
-"""Time without contact after which a body counts as fallen [s]."""
-
-COMPARABLE = wp.constant(100.0)
-"""Largest ratio of masses in an island that is solved in rounds: they converge slowly where heavy bodies are on light
-ones."""
-
-ROUNDS, ROUNDS_PER_BODY = wp.constant(4.0), wp.constant(0.3)
-"""Maximum number of rounds in a pile that moves, as a multiple of `contact_iterations`: a constant part, and a part for
-each body that load passes on its way to the ground: along the edge of a cube of as many bodies, or along the height if
-that is larger. It converges over several steps."""
-
-ROUNDS_OF_STRUCTURE, ROUNDS_OF_STRUCTURE_PER_BODY = wp.constant(20.0), wp.constant(2.0)
-"""The same for structures that were placed where they are, and for piles that hardly move. A pyramid of 100 rows needs
-2000 rounds in its first step, and a few in later ones."""
-
-ROUNDS_AT_REST = wp.constant(100.0)
-"""The constant part for structures that hardly move. A tower of 400 flat bricks, whose layers are lower than its bodies
-are long, needs 800 rounds in its first step; if it does not get them, it needs as many as it gets in each step."""
-
-EVEN = wp.constant(4.0)
-"""Largest ratio of masses in an even pile, which is solved by sweeps alone while it moves."""
-
-BUSY = wp.constant(0.25)
-"""Speed of a body from which an even pile is solved by sweeps alone, in sizes of the body per second. With 0.05, boxes
-that have fallen on each other keep moving by 1 cm/s."""
-
-SWEEPS_PER_LEVEL, SWEEPS_PER_LEVEL_OF_PILE = wp.constant(3), wp.constant(2)
-"""Maximum sweeps of a pass of shock propagation for each level of depth, besides SHOCK_SWEEPS. With two, towers that
-topple gain 5e-4 of their energy, and a ragdoll that has fallen under a plate keeps moving; with one in piles, a bunny
-rocks by 1 mrad."""
-
-HARDLY = wp.constant(0.05)
-"""Largest speed of a body in an island that hardly moves, in sizes of the body per second."""
-
-SETTLED = wp.constant(2.5e-4)
-"""Rounds end when no contact changes the velocity of a body in a pile by more than this [`Motions.velocity_unit`]."""
-
-BALANCED = wp.constant(4.0e-7)
-"""The same for a structure, as a fraction of the velocity that gravity adds in a step to all bodies that are stacked in
-it. Rounding errors were half as large in pyramids of 50 and 100 rows. Larger errors of the load deform a structure."""
-
-ROUNDED = wp.constant(1.0e-6)
-"""The same for a structure that moves, as a fraction of its largest speed: rounding errors of velocities are half as
-large where 25 boxes slide on a tray."""
-
-LOWEST_STRUCTURE = wp.constant(4.0)
-"""Least number of stacked bodies that counts for this purpose."""
-
-RESTING = wp.constant(0.01)
-"""Largest speed of a body in an island that is swept until it has converged (calm.py), in sizes of the body per second.
-Most of its bodies must have been placed where they are: a pile of fallen bodies converges over several steps."""
-
-RESTING_SHARE = wp.constant(0.1)
-"""Speed that always counts as slow for this purpose, as a fraction of that which gravity adds in a step. Bodies move so
-fast because their contacts were not solved: a tall cylinder would rock indefinitely."""
-
-LEAST_CALM, MOST_CALM = wp.constant(6), wp.constant(30)
-"""Maximum number of these sweeps as a multiple of `contact_iterations`: the number of bodies, within these bounds. The
-foot of a tall cylinder needs 30 to 50 sweeps."""
-
-MOST_IN_MOTION = wp.constant(6)
-"""The same for several bodies that were placed where they are and move, such as a tower that topples. Without these
-sweeps, impulses that have not converged add up to 2e-4 of its potential energy, with three times as many as
-`contact_iterations` 4e-6, with these nothing that can be measured."""
 
 LOWEST = wp.constant(-1.0e30)
 
@@ -266,9 +224,9 @@ def most_rounds(island: int, iterations: int, graph: Graph):
     path = wp.max(wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0), height_of(island, graph))
     moves = graph.island_speed[island] > HARDLY
     if is_pile(island, graph) and moves:
-        return int(float(iterations) * (ROUNDS + ROUNDS_PER_BODY * path))
-    least = wp.where(is_pile(island, graph) or moves, ROUNDS_OF_STRUCTURE, ROUNDS_AT_REST)
-    return int(float(iterations) * (least + ROUNDS_OF_STRUCTURE_PER_BODY * path))
+        return int(float(iterations) * (PILE_ROUNDS + PILE_ROUNDS_PER_BODY * path))
+    least = wp.where(is_pile(island, graph) or moves, STRUCTURE_ROUNDS, STRUCTURE_ROUNDS_AT_REST)
+    return int(float(iterations) * (least + STRUCTURE_ROUNDS_PER_BODY * path))
 
 
 @wp.func
@@ -278,9 +236,11 @@ def tolerance_of(island: int, gained: float, unit: float, graph: Graph):
     `unit`: that of the island's `Motions.velocity_unit`.
     """
     if is_pile(island, graph):
-        return SETTLED * unit
+        return PILE_CONVERGED * unit
     speed = graph.island_speed[island] * graph.island_size[island]
-    return wp.max(BALANCED * gained * wp.max(height_of(island, graph), LOWEST_STRUCTURE), ROUNDED * speed)
+    return wp.max(
+        STRUCTURE_CONVERGED * gained * wp.max(height_of(island, graph), LOWEST_STRUCTURE), STRUCTURE_ROUNDING * speed
+    )
 
 
 @wp.func

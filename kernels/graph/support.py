@@ -24,6 +24,7 @@ from warp_rigid.kernels.constraints.contact import direction_and_approach
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import IslandSolver, Motion
 from warp_rigid.kernels.schema import Bodies, Constraints, Contacts, Environments, Graph, Motions
+from warp_rigid.kernels.tuning import SLANT
 
 wp.set_module_options({"enable_backward": False})
 
@@ -33,9 +34,6 @@ UNKNOWN = wp.constant(-1)
 UNSUPPORTED = wp.constant(1 << 30)
 
 MOST_PASSES = wp.constant(4)
-
-SLANT = wp.constant(0.05)
-"""A body is supported if at least this fraction of its acceleration is along the normal, so not by vertical walls."""
 
 
 @wp.func

@@ -36,7 +36,6 @@ from warp_rigid.kernels.joints.mechanism import IN_CONTACT
 from warp_rigid.kernels.joints.responses import move_mechanism
 from warp_rigid.kernels.schema import Constraints, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.restitution import (
-    INNER_ITERATIONS,
     NO_IMPACT,
     energy_neutral_share,
     has_restitution,
@@ -44,8 +43,9 @@ from warp_rigid.kernels.solve.restitution import (
     note_impact,
     set_targets,
 )
-from warp_rigid.kernels.solve.schedule import CONVERGED, end_of_entries, entry_at, first_entry, note_change
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, note_change
 from warp_rigid.kernels.solve.shock import SKIPPED
+from warp_rigid.kernels.tuning import CONVERGED, IMPACT_ITERATIONS
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -106,7 +106,7 @@ def bounce_alone(
     unit = motions.velocity_unit[visit.a]
     if set_targets(entry.begin, entry.end, unit, before, relative_pull, dt, contacts) == 0:
         return 0
-    left = int(INNER_ITERATIONS)
+    left = int(IMPACT_ITERATIONS)
     while left > 0:
         visit.change = 0.0
         for c in range(entry.begin, entry.end):

@@ -58,10 +58,9 @@ from warp_rigid.kernels.solve.gauss_seidel import (
     sweeps_of,
 )
 from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
-from warp_rigid.kernels.solve.push_out import ENOUGH, PUSH_OUT_SWEEPS
 from warp_rigid.kernels.solve.restitution import open_impacts, sweep_impacts
-from warp_rigid.kernels.solve.schedule import CONVERGED
 from warp_rigid.kernels.solve.shock import is_propagated
+from warp_rigid.kernels.tuning import CONVERGED, PUSH_OUT_CONVERGED, PUSH_OUT_SWEEPS
 from warp_rigid.kernels.update.integrate import rotational_energy
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -379,7 +378,7 @@ def push_joined(
     left = int(PUSH_OUT_SWEEPS)
     while left > 0:
         change = push_touching(team, order, motions, contacts, joints, visits)
-        left = any_of_team(wp.where(change > ENOUGH * unit, 1, 0), team) * (left - 1)
+        left = any_of_team(wp.where(change > PUSH_OUT_CONVERGED * unit, 1, 0), team) * (left - 1)
 
 
 @wp.kernel

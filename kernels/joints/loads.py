@@ -37,14 +37,9 @@ from warp_rigid.kernels.joints.mechanism import IN_CONTACT, needs_solution, solv
 from warp_rigid.kernels.joints.responses import push_mechanism, store_response
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
-from warp_rigid.kernels.solve.schedule import (
-    CONVERGED,
-    end_of_entries,
-    entry_at,
-    first_of_color,
-    stride_of_color,
-)
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_of_color, stride_of_color
 from warp_rigid.kernels.solve.shock import island_of
+from warp_rigid.kernels.tuning import CONVERGED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

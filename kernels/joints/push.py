@@ -23,7 +23,7 @@ from warp_rigid.kernels.joints.loads import (
 )
 from warp_rigid.kernels.joints.turns import begin_of_turn, end_of_turn, visited_pair
 from warp_rigid.kernels.schema import Contacts, Motions, Order, OrderRecord
-from warp_rigid.kernels.solve.push_out import ENOUGH
+from warp_rigid.kernels.tuning import PUSH_OUT_CONVERGED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -106,7 +106,7 @@ def push_alone(entry: OrderRecord, motions: Motions, contacts: Contacts, joints:
         for c in range(entry.begin, entry.end):
             visit = push_touch(c, visit, contacts, joints)
         first = wp.max(first, visit.change)
-        left = wp.where(visit.change > ENOUGH * motions.velocity_unit[visit.a], left - 1, 0)
+        left = wp.where(visit.change > PUSH_OUT_CONVERGED * motions.velocity_unit[visit.a], left - 1, 0)
     if visit.pair.inverse_mass_a > 0.0:
         store_velocity(visit.a, PUSH, visit.pair.linear_a, visit.pair.angular_a, motions)
     if visit.pair.inverse_mass_b > 0.0:

@@ -3,13 +3,13 @@
 A structure that carries load sideways, such as an arch or a card house, needs many sweeps from the first step on. Its
 load has no order, so shock propagation is of little use, and an error of the velocities deforms it before the impulses
 of earlier steps can correct the error. Islands whose bodies hardly move, and were placed where they are, are therefore
-swept until no row changes a velocity by more than STILL. At rest the impulses of the last step solve the problem, and
-no such sweep is needed. A structure that topples is swept further, too, but less often: its contacts turn in each step,
+swept until no row changes a velocity any more. At rest the impulses of the last step solve the problem, and no such
+sweep is needed. A structure that topples is swept further, too, but less often: its contacts turn in each step,
 and impulses that have not converged would add energy.
 
 The sweeps of an arch of n stones reduce the error by a fraction that decreases with the fourth power of n. With the
 momentum b = (k - 1) / (k + 2) of sweep k (rounds.py), it decreases with the square of n: 27 stones need about 200
-sweeps instead of thousands. The momentum may be larger than in rounds, as a sweep is closer to the solution.
+sweeps instead of thousands.
 """
 
 import warp as wp
@@ -18,28 +18,15 @@ from warp_rigid.kernels.common.solver_body import START, VELOCITY, inverse_mass_
 from warp_rigid.kernels.common.team import Team, any_of_team, raise_to, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import extrapolate_row, store_start
 from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.graph.islands import MOST_CALM, most_in_motion
+from warp_rigid.kernels.graph.islands import most_in_motion
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import SWEEPS, solve_constraint
 from warp_rigid.kernels.solve.rounds import momentum
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
+from warp_rigid.kernels.tuning import CALM_CONVERGED, DIVERGED, MOST_CALM, NEGLIGIBLE
 
 wp.set_module_options({"enable_backward": False})
 
-STILL = wp.constant(2.5e-4)
-"""Sweeps end when no row changes a velocity by more than this [`Motions.velocity_unit`]."""
-
-MOST_MOMENTUM = wp.constant(0.98)
-"""Maximum momentum. With 0.9, an arch of 45 stones needs more sweeps than it gets; with 1, it does not converge."""
-
-DIVERGED = wp.constant(10.0)
-"""Momentum has diverged in an island at rest once a row changes a velocity by more than this multiple of the change
-before the first sweep, or of what gravity adds in the step. With 1, an arch of 27 stones falls."""
-
-NEGLIGIBLE = wp.constant(0.01)
-"""Momentum has not diverged in an island in motion as long as no row changes a velocity by more than this fraction of
-what gravity adds in the step. With 0, it ends at rounding errors on a GPU, and a tower that topples gains 2e-6 of its
-energy; with 0.1, boxes stop earlier on their tray."""
 
 UNLIMITED = wp.constant(2**30)
 """Sweeps over a constraint of a body that is not dynamic, as far as this body is concerned."""
@@ -118,7 +105,7 @@ def sweeps_without_momentum(change: float, start: float, gained: float, most: in
 @wp.func
 def momentum_of(turn: int, limit: int, least: int):
     """Momentum after a sweep over an island that has at most `limit` of them; 0 if it has at most `least`."""
-    return wp.where(limit > least, momentum(turn, limit, MOST_MOMENTUM), 0.0)
+    return wp.where(limit > least, momentum(turn, limit), 0.0)
 
 
 @wp.func
@@ -163,7 +150,7 @@ def sweep_calm_islands(
     env = team.env
     if graph.converged[env] == 1 or envs.shock_propagation[env] != ShockMode.TWO_PASS:
         return
-    still = STILL * motions.velocity_unit[envs.first_body[env]]
+    still = CALM_CONVERGED * motions.velocity_unit[envs.first_body[env]]
     if graph.residual[env] <= still:
         return
     if any_calm(team, envs, graph, motions) == 0:

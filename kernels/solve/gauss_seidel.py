@@ -12,16 +12,13 @@ from warp_rigid.kernels.constraints.contact import apply_row, solve_row
 from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
-from warp_rigid.kernels.solve.schedule import CONVERGED, entry_at, first_of_color, stride_of_color
+from warp_rigid.kernels.solve.schedule import entry_at, first_of_color, stride_of_color
+from warp_rigid.kernels.tuning import CONVERGED, SWEEPS_PER_DEPTH
 
 wp.set_module_options({"enable_backward": False})
 
 SWEEPS = wp.get_module("warp_rigid.kernels.solve.gauss_seidel")
 """Module of the kernels that sweep; those in rest.py and calm.py are compiled together with these."""
-
-SWEEPS_PER_DEPTH = wp.constant(2)
-"""Additional sweeps per depth of the contact graph where an island is solved by sweeps alone, which then transmit its
-load."""
 
 
 @wp.func

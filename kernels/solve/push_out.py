@@ -45,35 +45,19 @@ from warp_rigid.kernels.schema import (
     State,
 )
 from warp_rigid.kernels.solve.schedule import entry_at, first_of_color, stride_of_color
+from warp_rigid.kernels.tuning import (
+    FURTHEST_PUSH,
+    LIGHTER,
+    PUSH_OUT_CONVERGED,
+    PUSH_OUT_SWEEPS,
+    RECOVERY,
+    SLOP,
+    UPRIGHT_NORMAL,
+    WEIGHTLESS,
+)
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False})
-
-
-PUSH_OUT_SWEEPS = wp.constant(6)
-"""Maximum number of sweeps, plus one for each level of depth."""
-
-SLOP = wp.constant(1.0e-4)
-"""Overlap that is not corrected, as a fraction of the smaller body's size."""
-
-RECOVERY = wp.constant(0.25)
-"""Fraction of the overlap at the start of the step that is removed in the step."""
-
-UPRIGHT = wp.constant(0.98)
-"""Cosine (11 degrees) of normal and acceleration from which the lower body of a contact is frozen."""
-
-LIGHTER = wp.constant(10.0)
-"""A lower body that is lighter than the upper one by this factor is always frozen: it would be pushed away instead."""
-
-ENOUGH = wp.constant(2.5e-3)
-"""Sweeps end when no contact changes a pseudo-velocity by more than this [`Motions.velocity_unit`]: at 240 steps per
-second by less than a micrometre per step."""
-
-WEIGHTLESS = wp.constant(0.04)
-"""Share of the smaller size by which bodies without acceleration are pushed apart in a step, at most."""
-
-FURTHEST = wp.constant(0.25)
-"""Bodies are pushed apart in a step by at most this fraction of the smaller size: no wall is crossed by a push."""
 
 
 @wp.func
@@ -126,7 +110,7 @@ def wanted_speed(
     old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
     falls = wp.max(wp.length(motions.acceleration[a]), wp.length(motions.acceleration[b]))
     recovery = wp.min(RECOVERY * old / dt, fastest_recovery(falls, size, dt))
-    return wp.min((overlap - old) / dt + recovery, FURTHEST * size / dt)
+    return wp.min((overlap - old) / dt + recovery, FURTHEST_PUSH * size / dt)
 
 
 @wp.func
@@ -155,7 +139,7 @@ def push_contact(c: int, share_a: float, share_b: float, pull: wp.vec3, pair: Bo
     row = read_contact(c, contacts.rows)
     lower = (1.0 - share_a) * row.normal_a + (1.0 - share_b) * row.normal_b
     upper = share_a * row.normal_a + share_b * row.normal_b
-    if lower < LIGHTER * upper and wp.abs(wp.dot(row.normal, pull)) < UPRIGHT * wp.length(pull):
+    if lower < LIGHTER * upper and wp.abs(wp.dot(row.normal, pull)) < UPRIGHT_NORMAL * wp.length(pull):
         share_a = 1.0
         share_b = 1.0
     k = share_a * row.normal_a + share_b * row.normal_b
@@ -186,7 +170,7 @@ def push_pair(entry: OrderRecord, freeze: int, motions: Motions, contacts: Conta
         store_velocity(a, PUSH, pair.linear_a, pair.angular_a, motions)
     if pair.inverse_mass_b > 0.0:
         store_velocity(b, PUSH, pair.linear_b, pair.angular_b, motions)
-    return wp.where(pair.change > ENOUGH * motions.velocity_unit[a], 1, 0)
+    return wp.where(pair.change > PUSH_OUT_CONVERGED * motions.velocity_unit[a], 1, 0)
 
 
 @wp.kernel

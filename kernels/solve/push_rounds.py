@@ -28,10 +28,9 @@ from warp_rigid.kernels.schema import (
     SolverBodyRecord,
     State,
 )
-from warp_rigid.kernels.solve.push_out import ENOUGH, wanted_speed
+from warp_rigid.kernels.solve.push_out import wanted_speed
 from warp_rigid.kernels.solve.round_sharing import first_share, next_share
 from warp_rigid.kernels.solve.rounds import (
-    MOST_MOMENTUM,
     Wrench,
     count_rounds,
     is_stirred,
@@ -46,12 +45,9 @@ from warp_rigid.kernels.solve.rounds import (
     with_impulse_of,
 )
 from warp_rigid.kernels.solve.slots import change_of, clear_slots, keep_changes
+from warp_rigid.kernels.tuning import PUSH_OUT_CONVERGED, SHARE_OF_TARGET
 
 wp.set_module_options({"enable_backward": False})
-
-SHARE_OF_TARGET = wp.constant(0.03)
-"""Rounds end when no pseudo-velocity changes by more than this share of the largest separation speed in the
-environment, or by ENOUGH if that is more. While bodies fall on each other, overlaps change from step to step."""
 
 
 @wp.func
@@ -90,7 +86,7 @@ def find_overlaps_of_rounds(
             largest = wp.max(largest, target)
         if deep > 0:
             raise_to(entry.env, largest, rounds.largest_target)
-            entry.tolerance = ENOUGH * motions.velocity_unit[entry.body_a]
+            entry.tolerance = PUSH_OUT_CONVERGED * motions.velocity_unit[entry.body_a]
             list_round_pair(entry, deep, rounds, motions)
 
 
@@ -134,7 +130,7 @@ def push_pair_apart(
     contacts: Contacts,
 ):
     """Push a pair apart in a round. Returns the bound on the change of a body's pseudo-velocity [m/s]."""
-    beta = momentum(turn, entry.limit, MOST_MOMENTUM)
+    beta = momentum(turn, entry.limit)
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)

@@ -29,24 +29,9 @@ from warp_rigid.kernels.solve.gauss_seidel import SWEEPS
 from warp_rigid.kernels.solve.rounds import read_round_pair
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
 from warp_rigid.kernels.solve.shock import island_of
+from warp_rigid.kernels.tuning import AT_ONCE, CLEARANCE, DEEP_ENOUGH, NOT_ON_A_LINE, STOPPED_SPEED
 
 wp.set_module_options({"enable_backward": False})
-
-SLOW = wp.constant(5.0e-4)
-"""Largest speed of a body that is stopped, as a fraction of the velocity that gravity adds in a step."""
-
-FAR = wp.constant(10.0)
-"""How far an impulse is from its limits: the velocity that it gives there, as a multiple of the largest speed. In
-islands that are solved in rounds, bodies may be that fast: the error of a pyramid of 50 rows is 1 mm/s."""
-
-DEEP_ENOUGH = wp.constant(4)
-"""Depth in bodies from which islands are stopped. In shallower ones, sweeps reduce the error fast."""
-
-AT_ONCE = wp.constant(6)
-"""Round from which a change shows that the impulses of the last step did not solve an island."""
-
-NOT_ON_A_LINE = wp.constant(0.1)
-"""Sine of the smallest angle between the directions from a contact to two others."""
 
 
 @wp.func
@@ -171,10 +156,10 @@ def stop_resting_islands(
         return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
-    slow = SLOW * dt * wp.length(envs.gravity[env])
+    slow = STOPPED_SPEED * dt * wp.length(envs.gravity[env])
     if find_slow(slow, first, last, team, graph, motions) == 0:
         return
-    leave_out_free(FAR * slow, first, last, team, order, graph, motions, contacts)
+    leave_out_free(CLEARANCE * slow, first, last, team, order, graph, motions, contacts)
     others = int(0)
     for b in range(first + team.lane, last, lanes):
         if is_swept(b, graph, motions):
@@ -202,7 +187,7 @@ def find_held_bodies(
             graph.restless[graph.island[wp.where(entry.slot_a >= 0, entry.body_a, entry.body_b)]] = 1
         elif supports == A_ON_B or supports == B_ON_A:
             upper = wp.where(supports == A_ON_B, entry.body_a, entry.body_b)
-            far = FAR * SLOW * dt * wp.length(envs.gravity[entry.env])
+            far = CLEARANCE * STOPPED_SPEED * dt * wp.length(envs.gravity[entry.env])
             find_held(upper, entry.begin, entry.end, far, graph, contacts)
 
 
@@ -218,7 +203,7 @@ def find_restless_islands(
     if graph.solver[b] != IslandSolver.ROUNDS or bodies.motion[b] != Motion.DYNAMIC:
         return
     island = graph.island[b]
-    slow = FAR * SLOW * dt * wp.length(envs.gravity[bodies.env[b]])
+    slow = CLEARANCE * STOPPED_SPEED * dt * wp.length(envs.gravity[bodies.env[b]])
     started = rounds.last_change[bodies.env[b]] >= AT_ONCE or graph.island_speed[island] == 0.0
     if not started or graph.pressed[b] * graph.stuck[b] == 0 or speed_of(b, graph, motions) > slow:
         graph.restless[island] = 1

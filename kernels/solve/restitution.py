@@ -33,7 +33,6 @@ from warp_rigid.kernels.constraints.contact import (
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import (
-    CONVERGED,
     entry_at,
     first_of_color,
     forget_visits,
@@ -42,14 +41,9 @@ from warp_rigid.kernels.solve.schedule import (
     solved_turn,
     stride_of_color,
 )
+from warp_rigid.kernels.tuning import CONVERGED, IMPACT_ITERATIONS, SLOWEST
 
 wp.set_module_options({"enable_backward": False})
-
-INNER_ITERATIONS = wp.constant(8)
-"""Maximum rounds over the contacts of one pair."""
-
-SLOWEST = wp.constant(2.5e-3)
-"""Approach speed below which a contact is not an impact [`Motions.velocity_unit`]."""
 
 NO_IMPACT = wp.constant(-1.0e10)
 """Target velocity of a contact without an impact in this step [m/s]."""
@@ -173,7 +167,7 @@ def after_impact(
 ):
     """The bodies after the impacts of all contacts of a pair, whose targets are set; see `energy_neutral_share`."""
     after = before
-    left = int(INNER_ITERATIONS)
+    left = int(IMPACT_ITERATIONS)
     while left > 0:
         after.change = 0.0
         for c in range(begin, end):

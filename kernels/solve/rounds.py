@@ -62,33 +62,24 @@ from warp_rigid.kernels.schema import (
 )
 from warp_rigid.kernels.solve.round_sharing import first_share, next_share
 from warp_rigid.kernels.solve.slots import buffer_start, change_of, keep_changes, store_change, sum_of_changes
+from warp_rigid.kernels.tuning import MOST_MOMENTUM, NOTICEABLE, PLAIN_ROUNDS
 
 wp.set_module_options({"enable_backward": False})
 
 read_round_pair = record_reader(RoundRecord)
 """Reads a pair that is solved in rounds: (k, pairs)."""
 
-MOST_MOMENTUM = wp.constant(0.98)
-"""Maximum momentum. With 0.9, a pyramid of 50 rows is not solved by 1200 rounds in its first step, with 0.98 it is by
-970; without a limit, rounds diverge."""
-
-PLAIN_ROUNDS = wp.constant(3)
-"""Rounds without momentum at the end, if the limit is reached. They do not increase the energy."""
 
 LANES = wp.constant(4)
 """Lanes that visit a pair on a GPU."""
 
-NOTICEABLE = wp.constant(0.25)
-"""A pair is solved again if the last round changed the velocity of one of its bodies by more than this share of the
-change at which rounds end. So a box that slides on a heap at rest costs little more than its neighbourhood."""
-
 
 @wp.func
-def momentum(turn: int, limit: int, most: float):
+def momentum(turn: int, limit: int):
     """Momentum after a round or sweep. The first one and the last PLAIN_ROUNDS of at most `limit` have none."""
     if turn + PLAIN_ROUNDS > limit:
         return 0.0
-    return wp.min(float(turn - 1) / float(turn + 2), most)
+    return wp.min(float(turn - 1) / float(turn + 2), MOST_MOMENTUM)
 
 
 @wp.func
@@ -507,7 +498,7 @@ def solve_pair(
     contacts: Contacts,
 ):
     """Solve the contacts of a pair in a round. Returns the bound on the change of a body's velocity [m/s]."""
-    beta = momentum(turn, entry.limit, MOST_MOMENTUM)
+    beta = momentum(turn, entry.limit)
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = solve_contact(c, entry, beta, pair, wrench, bodies, contacts)

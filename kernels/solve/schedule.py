@@ -14,9 +14,6 @@ from warp_rigid.kernels.schema import Graph, Motions, Order, OrderRecord
 
 wp.set_module_options({"enable_backward": False})
 
-CONVERGED = wp.constant(2.5e-5)
-"""Constraints count as solved when no row changes a velocity by more than this [`Motions.velocity_unit`]."""
-
 
 @wp.func
 def entry_at(k: int, order: Order):

@@ -32,7 +32,6 @@ from warp_rigid.kernels.constraints.contact import solve_row
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import (
-    CONVERGED,
     end_of_entries,
     entry_at,
     first_entry,
@@ -43,21 +42,10 @@ from warp_rigid.kernels.solve.schedule import (
     solved_turn,
     stride_of_color,
 )
+from warp_rigid.kernels.tuning import CONVERGED, PAIR_ITERATIONS, SHARED_ITERATIONS, SHOCK_SWEEPS
 
 wp.set_module_options({"enable_backward": False})
 
-
-SHOCK_SWEEPS = wp.constant(4)
-"""Maximum sweeps of a pass, besides those for each level of depth (islands.py). With two, a tower of thirty crossed
-layers of beams collapses."""
-
-PAIR_ITERATIONS = wp.constant(4)
-"""Maximum rounds over the contacts of a pair per visit, if its upper body has no other support. With one, a stack of 50
-collapses."""
-
-SHARED_ITERATIONS = wp.constant(2)
-"""The same for a body with several supports. With one, the tower of beams collapses; with eight, the first pair takes
-the whole load, and a pyramid of 20 rows is deformed by 1 mm."""
 
 SKIPPED = wp.constant(2**30)
 """Turn of a constraint that is not visited: later than all others."""

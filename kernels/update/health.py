@@ -9,7 +9,7 @@ from warp_rigid.kernels.common.surfaces import runs
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, WarningKind
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.schema import Bodies, Environments, Graph, History, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.solve.calm import STILL
+from warp_rigid.kernels.tuning import CALM_CONVERGED
 from warp_rigid.kernels.update.integrate import rotational_energy
 from warp_rigid.kernels.update.predict import smaller_size
 
@@ -216,7 +216,7 @@ def check_residual(env: int, dt: float, motions: Motions, graph: Graph, state: S
             if speed > most:
                 most = speed
                 fastest = b - first
-    large = wp.max(UNSOLVED * gained, STILL * motions.velocity_unit[first])
+    large = wp.max(UNSOLVED * gained, CALM_CONVERGED * motions.velocity_unit[first])
     checks = wp.where(placed > 0 and envs.recent_residual[env] > large, envs.unsolved[env] + 1, 0)
     envs.unsolved[env] = checks
     if checks >= UNSOLVED_CHECKS:

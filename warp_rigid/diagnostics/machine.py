@@ -16,6 +16,7 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.engine import memory
+from warp_rigid.kernels.tuning import thresholds
 from warp_rigid.scene.shapes import distance_grid
 from warp_rigid.version import __version__
 
@@ -58,7 +59,7 @@ def examine(devices: list[str] | None = None) -> dict[str, Any]:
         devices: names of Warp devices; None tests all.
 
     Returns:
-        Plain data: "versions", "devices", "caches", "checks" and "ok".
+        Plain data: "versions", "devices", "caches", "checks", "thresholds" (those of the solver) and "ok".
     """
     names = [str(device) for device in wp.get_devices()] if devices is None else devices
     checks = [*_libraries(), _cuda(), *_caches(), *(_device(name) for name in names)]
@@ -67,6 +68,7 @@ def examine(devices: list[str] | None = None) -> dict[str, Any]:
         "devices": [_describe(wp.get_device(name)) for name in names],
         "caches": {"kernels": str(wp.config.kernel_cache_dir), "distance grids": str(distance_grid.cache_folder())},
         "checks": [asdict(check) for check in checks],
+        "thresholds": {name: threshold._asdict() for name, threshold in thresholds().items()},
         "ok": all(check.passed for check in checks),
     }
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.checks import whole_in
+from warp_rigid.checks import listed, whole_in
 from warp_rigid.engine import checkpoint_values, joints, step_reports
 from warp_rigid.engine.checkpoint_values import within
 from warp_rigid.engine.layout import MOST_ENVIRONMENTS
@@ -26,6 +26,7 @@ from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.pair_contacts import BY_AXIS
 from warp_rigid.kernels.declare import Lifetime
+from warp_rigid.kernels.tuning import thresholds
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import SURFACE_VELOCITIES
 from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
@@ -66,9 +67,22 @@ def save(world: World, path: Any, more: dict[str, Any] | None = None, arrays: di
         "capacity": world.shards.capacity,
         "used": used,
         "fitted": world.shards.most_wanted.tolist(),
+        "thresholds": _thresholds(),
         "more": more or {},
     }
     archive.save(path, KIND, VERSION, header, {**shapes, **_stored(world), **(arrays or {})})
+
+
+def _thresholds() -> dict[str, float]:
+    return {name: threshold.value for name, threshold in thresholds().items()}
+
+
+def _name_other_thresholds(stored: Any, path: Any) -> None:
+    """Log which thresholds of the solver a checkpoint has been written with other values of; older files have none."""
+    if isinstance(stored, dict):
+        changed = [name for name, value in _thresholds().items() if stored.get(name) != value]
+        if changed:
+            log.warning("%s: written with other thresholds of the solver: %s; results differ", path, listed(changed))
 
 
 def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:
@@ -80,6 +94,7 @@ def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:
         make: called with the arguments of Simulator by name; the result has its World as `_world`.
     """
     header, arrays = archive.load(path, KIND, VERSION)
+    _name_other_thresholds(header.get("thresholds"), path)
     try:
         arguments = _arguments(header, arrays)
         if device is None:

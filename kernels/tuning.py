@@ -1,0 +1,236 @@
+"""Thresholds of the contact solver: which island is solved how, when iterations end, and what is corrected.
+
+Each has its unit, the reason for its value, and the scene that shows it. The velocity unit is `Motions.velocity_unit`:
+what gravity adds to a velocity in a step, but at most 0.04 m/s. Sizes of a body are `ShapeRecord.size`. Checkpoints
+store the values, and `warp-rigid doctor --json` shows them.
+"""
+
+import ast
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import warp as wp
+
+# Which islands are solved how
+
+FLIGHT = wp.constant(0.05)
+"""Time without contact after which a body counts as fallen [s]."""
+
+COMPARABLE = wp.constant(100.0)
+"""Largest ratio of masses in an island that is solved in rounds: they converge slowly where heavy bodies are on light
+ones."""
+
+EVEN = wp.constant(4.0)
+"""Largest ratio of masses in an even pile, which is solved by sweeps alone while it moves."""
+
+BUSY = wp.constant(0.25)
+"""Speed of a body from which an even pile is solved by sweeps alone, in sizes of the body per second. With 0.05, boxes
+that have fallen on each other keep moving by 1 cm/s."""
+
+HARDLY = wp.constant(0.05)
+"""Largest speed of a body in an island that hardly moves, in sizes of the body per second."""
+
+RESTING = wp.constant(0.01)
+"""Largest speed of a body in an island at rest, in sizes of the body per second. If most of its bodies were placed
+where they are, it is swept until it has converged (calm.py). A pile of fallen bodies converges over several steps."""
+
+RESTING_SHARE = wp.constant(0.1)
+"""Speed that also counts as rest, as a fraction of the velocity that gravity adds in a step. Bodies move so fast
+because their contacts were not solved: a tall cylinder would rock indefinitely."""
+
+# Sweeps
+
+CONVERGED = wp.constant(2.5e-5)
+"""Sweeps and passes end when no row changes a velocity by more than this [velocity units]. With 2e-5 m/s, a stack of 50
+falls."""
+
+SWEEPS_PER_DEPTH = wp.constant(2)
+"""Additional sweeps per depth of the contact graph where an island is solved by sweeps alone, which then transmit its
+load."""
+
+LEAST_CALM, MOST_CALM = wp.constant(6), wp.constant(30)
+"""Maximum sweeps with momentum over an island at rest (calm.py), as a multiple of `contact_iterations`: the number of
+its bodies, within these bounds. The foot of a tall cylinder needs 30 to 50 sweeps."""
+
+MOST_IN_MOTION = wp.constant(6)
+"""Maximum sweeps with momentum over several bodies that were placed where they are and move, such as a tower that
+topples, as a multiple of `contact_iterations`. Without these sweeps, impulses that have not converged add up to 2e-4 of
+its potential energy, with half as many 4e-6, with these nothing that can be measured."""
+
+CALM_CONVERGED = wp.constant(2.5e-4)
+"""Sweeps with momentum end when no row changes a velocity by more than this [velocity units]."""
+
+DIVERGED = wp.constant(10.0)
+"""Momentum has diverged in an island at rest once a row changes a velocity by more than this multiple of the change
+before the first sweep, or of what gravity adds in the step. With 1, an arch of 27 stones falls."""
+
+NEGLIGIBLE = wp.constant(0.01)
+"""Momentum has not diverged in an island in motion as long as no row changes a velocity by more than this fraction of
+what gravity adds in the step. With 0, it ends at rounding errors on a GPU, and a tower that topples gains 2e-6 of its
+energy; with 0.1, boxes stop earlier on their tray."""
+
+# Shock propagation
+
+SLANT = wp.constant(0.05)
+"""A body is supported if at least this fraction of its acceleration is along the normal, so not by vertical walls."""
+
+SHOCK_SWEEPS = wp.constant(4)
+"""Maximum sweeps of a pass, besides those for each level of depth. With two, a tower of thirty crossed layers of beams
+collapses."""
+
+SWEEPS_PER_LEVEL, SWEEPS_PER_LEVEL_OF_PILE = wp.constant(3), wp.constant(2)
+"""Further sweeps of a pass for each level of depth, in general and in loose piles. With two in general, towers that
+topple gain 5e-4 of their energy, and a ragdoll that has fallen under a plate keeps moving; with one in piles, a bunny
+rocks by 1 mrad."""
+
+PAIR_ITERATIONS = wp.constant(4)
+"""Maximum rounds over the contacts of a pair per visit, if its upper body has no other support. With one, a stack of 50
+collapses."""
+
+SHARED_ITERATIONS = wp.constant(2)
+"""Maximum rounds over the contacts of a pair per visit, if its upper body has several supports. With one, the tower of
+beams collapses; with eight, the first pair takes the whole load, and a pyramid of 20 rows is deformed by 1 mm."""
+
+# Rounds
+
+PILE_ROUNDS, PILE_ROUNDS_PER_BODY = wp.constant(4.0), wp.constant(0.3)
+"""Maximum number of rounds in a pile that moves, as a multiple of `contact_iterations`: a constant part, and a part for
+each body that load passes on its way to the ground: along the edge of a cube of as many bodies, or along the height if
+that is larger. It converges over several steps."""
+
+STRUCTURE_ROUNDS, STRUCTURE_ROUNDS_PER_BODY = wp.constant(20.0), wp.constant(2.0)
+"""Maximum number of rounds in a structure, whose bodies were placed where they are, and in a pile that hardly moves. A
+pyramid of 100 rows needs 3000 rounds in its first step, and a few in later ones."""
+
+STRUCTURE_ROUNDS_AT_REST = wp.constant(100.0)
+"""The constant part of it for structures that hardly move. A tower of 400 flat bricks, whose layers are lower than its
+bodies are long, needs 800 rounds in its first step; if it does not get them, it needs as many as it gets in each
+step."""
+
+PILE_CONVERGED = wp.constant(2.5e-4)
+"""Rounds end when no contact changes the velocity of a body in a pile by more than this [velocity units]."""
+
+STRUCTURE_CONVERGED = wp.constant(4.0e-7)
+"""Rounds end when no contact changes the velocity of a body in a structure by more than this fraction of the velocity
+that gravity adds in a step to all bodies that are stacked in it. Rounding errors were half as large in pyramids of 50
+and 100 rows. Larger errors of the load deform a structure."""
+
+STRUCTURE_ROUNDING = wp.constant(1.0e-6)
+"""In a structure that moves, this fraction of its largest speed is also enough: rounding errors of velocities are half
+as large where 25 boxes slide on a tray."""
+
+LOWEST_STRUCTURE = wp.constant(4.0)
+"""Least number of stacked bodies that counts for STRUCTURE_CONVERGED."""
+
+MOST_MOMENTUM = wp.constant(0.98)
+"""Maximum momentum of rounds, and of sweeps. With 0.9, a pyramid of 50 rows is not solved by 1200 rounds in its first
+step, with 0.98 it is by 970, and an arch of 45 stones needs more sweeps than it gets; without a limit, both diverge."""
+
+PLAIN_ROUNDS = wp.constant(3)
+"""Rounds without momentum at the end, if the limit is reached. They do not increase the energy."""
+
+NOTICEABLE = wp.constant(0.25)
+"""A pair is solved again if the last round changed the velocity of one of its bodies by more than this share of the
+change at which rounds end. So a box that slides on a heap at rest costs little more than its neighbourhood."""
+
+# Islands at rest
+
+STOPPED_SPEED = wp.constant(5.0e-4)
+"""Largest speed of a body that is stopped, as a fraction of the velocity that gravity adds in a step."""
+
+CLEARANCE = wp.constant(10.0)
+"""How far an impulse is from its limits: the velocity that it gives there, as a multiple of the largest speed. In
+islands that are solved in rounds, bodies may be that fast: the error of a pyramid of 50 rows is 1 mm/s."""
+
+DEEP_ENOUGH = wp.constant(4)
+"""Depth in bodies from which islands are stopped. In shallower ones, sweeps reduce the error fast."""
+
+AT_ONCE = wp.constant(6)
+"""Round from which a change shows that the impulses of the last step did not solve an island."""
+
+NOT_ON_A_LINE = wp.constant(0.1)
+"""Three contacts of a body at rest are not on a line: sine of the smallest angle between the directions from one to the
+others."""
+
+# Impacts
+
+IMPACT_ITERATIONS = wp.constant(8)
+"""Maximum rounds over the contacts of a pair per impact."""
+
+SLOWEST = wp.constant(2.5e-3)
+"""Approach speed below which a contact is not an impact [velocity units]."""
+
+# Push-out
+
+PUSH_OUT_SWEEPS = wp.constant(6)
+"""Maximum sweeps of the push-out, plus one for each level of depth."""
+
+SLOP = wp.constant(1.0e-4)
+"""Overlap that is not corrected, as a fraction of the smaller body's size."""
+
+RECOVERY = wp.constant(0.25)
+"""Fraction of the overlap at the start of the step that is removed in the step."""
+
+UPRIGHT_NORMAL = wp.constant(0.98)
+"""Cosine (11 degrees) of normal and acceleration from which the lower body of a contact is frozen."""
+
+LIGHTER = wp.constant(10.0)
+"""A lower body that is lighter than the upper one by this factor is always frozen: it would be pushed away instead."""
+
+PUSH_OUT_CONVERGED = wp.constant(2.5e-3)
+"""The push-out ends when no contact changes a pseudo-velocity by more than this [velocity units]: at 240 steps per
+second by less than a micrometre per step."""
+
+WEIGHTLESS = wp.constant(0.04)
+"""Share of the smaller size by which bodies without acceleration are pushed apart in a step, at most."""
+
+FURTHEST_PUSH = wp.constant(0.25)
+"""Bodies are pushed apart in a step by at most this fraction of the smaller size: no wall is crossed by a push."""
+
+SHARE_OF_TARGET = wp.constant(0.03)
+"""Rounds of the push-out end when no pseudo-velocity changes by more than this share of the largest separation speed in
+the environment, or by PUSH_OUT_CONVERGED if that is more. While bodies fall on each other, overlaps change from step to
+step."""
+
+# Contact rows
+
+TOUCHING = wp.constant(1.0e-4)
+"""Contacts with a gap up to this fraction of the smaller body's size transmit load without closing the gap. If gaps of
+the size of rounding errors had to close first, the load would move from contact to contact in each step. A pyramid of
+20 rows moves by 0.02 mm with this value, but by millimetres with a fifth of it."""
+
+WIDER = wp.constant(1.05)
+"""Contacts with a gap up to this factor times TOUCHING transmit load, too. Gaps that have just closed exceed TOUCHING
+by rounding errors. Without this factor they would have a small bias velocity in every step, and the solver would seldom
+converge in the first sweep for a stack at rest."""
+
+SLIDING_SHARE = wp.constant(0.99)
+"""Fraction of the friction limit from which a pair counts as sliding. Contacts that stick can share a load as they
+like."""
+
+PARALLEL_NORMALS = wp.constant(0.99999)
+"""Cosine (0.3 degrees) above which two contact normals count as parallel."""
+
+ON_A_LINE = wp.constant(1.0e-5)
+"""Fraction of the sum of the second moments that is added to both, so that contacts on a line have a solution."""
+
+
+class Threshold(NamedTuple):
+    """A value of this file, with its unit, its reason and the scene that shows it in words."""
+
+    value: float
+    text: str
+
+
+@cache
+def thresholds() -> dict[str, Threshold]:
+    """The thresholds of the solver by name, in the order of this file."""
+    found = {}
+    body = ast.parse(Path(__file__).read_text(encoding="utf-8")).body
+    for node, doc in zip(body, body[1:], strict=False):
+        if isinstance(node, ast.Assign) and isinstance(doc, ast.Expr) and isinstance(doc.value, ast.Constant):
+            for name in ast.walk(node.targets[0]):
+                if isinstance(name, ast.Name):
+                    found[name.id] = Threshold(float(globals()[name.id]), " ".join(str(doc.value.value).split()))
+    return found
