@@ -508,7 +508,8 @@ class Stages:
         pools, pairs, near = self.pools, self.pools.pairs, self.pools.near
         searched = [*self.moving, self.envs]
         pairs.candidate_count.zero_()
-        wp.copy(near.begin, near.count)
+        if self.sleeping:  # the first of two rounds
+            wp.copy(near.begin, near.count)
         size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.search.listing
         with self.parts.shared():
             self.share(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs, near], before=[woken])
