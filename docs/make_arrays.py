@@ -54,7 +54,7 @@ Integers shared by the host and the kernels, as declared in `kernels/enums.py`.
 
 def page() -> str:
     """The whole page."""
-    symbols = {**schema.SYMBOLS, **arrays.SYMBOLS}
+    symbols = {**schema.SYMBOLS, **arrays.JOINT_SYMBOLS}
     sizes = table("symbol", "counts", rows=[(code(name), text) for name, text in symbols.items()])
     lifetimes = table("lifetime", "values", rows=[(code(one.name.lower()), one.value) for one in declare.Lifetime])
     structs = [section(name, struct_table(fields)) for name, fields in declare.LAYOUTS.items()]

@@ -11,7 +11,7 @@ from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels import schema
-from warp_rigid.kernels.collide.ccd import MOST_PAIRS, NO_IMPACT, UNITS_OF_TIME
+from warp_rigid.kernels.collide.ccd import NEVER, PAIR_NUMBERS, UNITS_OF_TIME
 from warp_rigid.kernels.collide.convex import is_solid
 from warp_rigid.kernels.collide.course import DEPTH
 from warp_rigid.rotations import about_axis, multiply
@@ -66,8 +66,8 @@ def test_the_time_of_impact_is_that_of_float64(device, kind):
     stages._list_fast_pairs_of_step()
     stages._trace_fast_pairs()
     first = stages.motions.first_impact.numpy().reshape(count, 2).min(axis=1)
-    hit = first < int(NO_IMPACT)
-    times = np.where(hit, first // int(MOST_PAIRS) / float(UNITS_OF_TIME), 1.0) * DT
+    hit = first < int(NEVER)
+    times = np.where(hit, first // int(PAIR_NUMBERS) / float(UNITS_OF_TIME), 1.0) * DT
     shapes = stages.model.shapes.shapes.numpy()
     allowed = float(DEPTH) * min(shapes["size"].min(), 2.0 * shapes["wall"].min())
     before = np.max([overlap(times * share) for share in np.linspace(0.0, 0.999, 100)], axis=0)

@@ -74,7 +74,7 @@ def test_candidates_are_kept_until_a_body_leaves_its_fat_box(device):
     sim, stages = opened(scene, device, num_envs=2)
     sim.set("linear_velocity", (0.3, 0, 0), bodies=[7])
     assert computed_again(stages) == [0, 1]
-    margin = float(candidates.MARGIN) * 0.2
+    margin = float(candidates.FAT_MARGIN) * 0.2
     for shift, again in ((0.9 * margin, []), (1.1 * margin, [1]), (1.2 * margin, [])):
         place = sim.get("position")[1, 40]
         sim.set("position", np.array(scene.bodies[40].position) + (shift, 0, 0), envs=[1], bodies=[40])
@@ -89,7 +89,7 @@ def test_steps_ahead_are_within_the_fat_boxes(device):
     for k in range(300):
         scene.add_body(wr.Box((0.1,) * 3), position=(k, 0, 0), linear_velocity=(0, 12.0, 0))
     sim, stages = opened(scene, device)
-    assert 12.0 * stages.dt > float(candidates.MARGIN) * 0.2
+    assert 12.0 * stages.dt > float(candidates.FAT_MARGIN) * 0.2
     again = []
     for _ in range(12):
         sim.step()

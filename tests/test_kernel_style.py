@@ -43,3 +43,16 @@ def test_no_kernel_is_compiled_for_derivatives():
     kernels = {name: tree for name, tree in TREES.items() if device_functions(tree, "wp.kernel")}
     assert len(kernels) > 20
     assert [name for name, tree in kernels.items() if not any(ast.unparse(x).startswith(off) for x in tree.body)] == []
+
+
+def test_a_name_of_a_constant_has_one_meaning():
+    """No two files of kernels define the same constant; one imports it from the other."""
+    found = {}
+    for file in (ROOT / "kernels").rglob("*.py"):
+        for node in ast.parse(file.read_text()).body:
+            if isinstance(node, ast.Assign):
+                names = [name.id for name in ast.walk(node.targets[0]) if isinstance(name, ast.Name)]
+                for name in names:
+                    if name.isupper():
+                        found.setdefault(name, set()).add(file.name)
+    assert {name: files for name, files in found.items() if len(files) > 1} == {}

@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False})
 
 ROOT = Path(__file__).resolve().parents[1]
 ROWS = 37
-SYMBOLS = {**schema.SYMBOLS, **arrays.SYMBOLS}
+SYMBOLS = {**schema.SYMBOLS, **arrays.JOINT_SYMBOLS}
 
 
 def make_arrays():

@@ -336,7 +336,7 @@ def test_the_number_of_lanes_does_not_matter(device, name, monkeypatch):
         stages._list_fast_pairs_of_step()
         stages._trace_fast_pairs()
         found.append((stages.motions.first_impact.numpy(), stages.motions.next_time_of_impact.numpy()))
-    assert (found[0][0] < int(ccd.NO_IMPACT)).any()
+    assert (found[0][0] < int(ccd.NEVER)).any()
     for impact, time_of_impact in found[1:]:
         np.testing.assert_array_equal(impact, found[0][0])
         np.testing.assert_array_equal(time_of_impact, found[0][1])

@@ -26,7 +26,7 @@ from warp_rigid.kernels.schema import Bodies, Cells, Environments, Motions, Shap
 
 wp.set_module_options({"enable_backward": False})
 
-MARGIN = wp.constant(0.2)
+FAT_MARGIN = wp.constant(0.2)
 """Distance between the swept box and the fat box, as a fraction of the body's size."""
 
 STEPS_AHEAD = wp.constant(3.0)
@@ -137,7 +137,7 @@ def enlarge_boxes(
     lower = motions.lower[i]
     upper = motions.upper[i]
     if bodies.motion[i] != Motion.STATIC:
-        margin = MARGIN * shapes.shapes[bodies.shape[i]].size
+        margin = FAT_MARGIN * shapes.shapes[bodies.shape[i]].size
         travel = STEPS_AHEAD * dt * motions.solver_bodies[i].linear
         nothing = wp.vec3(0.0, 0.0, 0.0)
         lower += wp.min(travel, nothing) - wp.vec3(margin, margin, margin)

@@ -75,9 +75,9 @@ TURNS_OF_A_MECHANISM = wp.constant(2)
 """Rounds for each mechanism of an environment: mechanisms that fall together stop one after the other, and each stop
 changes the motion of all bodies of a mechanism."""
 
-NO_IMPACT = wp.constant(wp.int64(2**62))
-"""Value of `first_impact` without an impact; it is the time in units, times MOST_PAIRS, plus the pair otherwise."""
-MOST_PAIRS = wp.constant(wp.int64(2**31))
+NEVER = wp.constant(wp.int64(2**62))
+"""Value of `first_impact` without an impact; it is the time in units, times PAIR_NUMBERS, plus the pair otherwise."""
+PAIR_NUMBERS = wp.constant(wp.int64(2**31))
 UNITS_OF_TIME = wp.constant(2.0**20)
 """Units of the time of an impact in a step; rounded down, it is early by half a millionth of the step."""
 
@@ -130,7 +130,7 @@ def open_round(pairs: Pairs, motions: Motions, suspects: Suspects):
     motions.course[b] = motions.next_course[b]
     motions.shared_spin[b] = motions.next_shared_spin[b]
     motions.carried[b] = motions.next_carried[b]
-    motions.first_impact[b] = NO_IMPACT
+    motions.first_impact[b] = NEVER
     if b == 0:
         suspects.round[0] += 1
         suspects.again[0] = 0
@@ -268,7 +268,7 @@ def note_impact(
     wp.atomic_max(suspects.untraced, pair, left)
     if suspects.round[0] > 0 and left <= SETTLED * DEPTH * traced_size(a, b, shapes, bodies):
         return
-    impact = wp.int64(t / dt * UNITS_OF_TIME) * MOST_PAIRS + wp.int64(pair)
+    impact = wp.int64(t / dt * UNITS_OF_TIME) * PAIR_NUMBERS + wp.int64(pair)
     first = onward_course(a, bodies, state, motions)
     second = onward_course(b, bodies, state, motions)
     share = common_share(a, b, first, second, motions)
@@ -452,13 +452,13 @@ def trace_suspects(
 @wp.func
 def time_of(impact: wp.int64):
     """Time of an impact in `first_impact`, as a fraction of the step."""
-    return float(impact / MOST_PAIRS) / UNITS_OF_TIME
+    return float(impact / PAIR_NUMBERS) / UNITS_OF_TIME
 
 
 @wp.func
 def motion_after(b: int, impact: wp.int64, dt: float, bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
     """The motion of a body after an impact in `first_impact`."""
-    pair = int(impact % MOST_PAIRS)
+    pair = int(impact % PAIR_NUMBERS)
     t = dt * time_of(impact)
     return common_motion(b, pairs.body_a[pair], pairs.body_b[pair], t, dt, bodies, state, motions)
 
@@ -477,13 +477,13 @@ def change_courses(
     if motions.role[b] != Role.FREE and suspects.round[0] + 1 >= envs.impact_rounds[bodies.env[b]]:
         motions.next_carried[b] = HOLDER
     impact = motions.first_impact[b]
-    motions.changed[b] = wp.where(impact == NO_IMPACT, 0, 1)
-    if impact == NO_IMPACT:
+    motions.changed[b] = wp.where(impact == NEVER, 0, 1)
+    if impact == NEVER:
         return
     t = time_of(impact)
     after = motion_after(b, impact, dt, bodies, state, pairs, motions)
-    first = pairs.body_a[int(impact % MOST_PAIRS)]
-    second = pairs.body_b[int(impact % MOST_PAIRS)]
+    first = pairs.body_a[int(impact % PAIR_NUMBERS)]
+    second = pairs.body_b[int(impact % PAIR_NUMBERS)]
     if not is_driven(first, second, motions):
         after.linear *= wp.min(1.0, motions.max_travel[b] / wp.max(dt * wp.length(after.linear), 1.0e-12))
     motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear

@@ -9,8 +9,8 @@ resolved in favour of the first sample, so that contact identities persist.
 The score of a sample is its extent in the direction, reduced by its gap times a weight; this corresponds to tilting the
 bodies by a small angle. In every other direction the weight is small (TIPPED, TURNING), so that the closest samples
 do not replace the corners onto which a fast body rotates. In the directions between, the weight is large for slow
-bodies (UPRIGHT): a bumpy shape then keeps the samples that support it, and not those around its bumps, on which it
-would rock indefinitely.
+bodies (UPRIGHT_WEIGHT): a bumpy shape then keeps the samples that support it, and not those around its bumps, on which
+it would rock indefinitely.
 
 A team of lanes processes a pair. All lanes find the patch, and each lane updates its own slots.
 """
@@ -40,7 +40,7 @@ degrees."""
 TURNING = wp.constant(5.0)
 """The least value of it, for bodies that turn by a fifth of a radian or more in the step."""
 
-UPRIGHT = wp.constant(200.0)
+UPRIGHT_WEIGHT = wp.constant(200.0)
 """The same for bodies at rest, in every other direction."""
 
 TRAVEL_WEIGHT = wp.constant(0.5)
@@ -92,7 +92,7 @@ def ranking_of(way: float, turn: float, size: float, solid: bool):
     `solid`: whether one of the bodies is a convex solid.
     """
     result = Ranking()
-    result.upright = wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
+    result.upright = wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT_WEIGHT)
     result.tipped = wp.clamp(1.0 / wp.max(turn, 1.0e-6), TURNING, TIPPED)
     result.deepest = RANKED * size
     result.furthest = wp.where(solid, RANKED * size, FAR)

@@ -31,7 +31,13 @@ PORTAL_ROUNDS = wp.constant(40)
 DESCENTS = wp.constant(8)
 """Maximum number of rays along which the depth is reduced."""
 
-RAY, SIDE, CONE, FACE, FOUND = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3), wp.constant(4)
+PORTAL_RAY, PORTAL_SIDE, PORTAL_CONE, PORTAL_FACE, PORTAL_FOUND = (
+    wp.constant(0),
+    wp.constant(1),
+    wp.constant(2),
+    wp.constant(3),
+    wp.constant(4),
+)
 """Stages of the search: the first, second and third point of the portal, its refinement, and its end."""
 
 
@@ -233,19 +239,19 @@ def next_corner(portal: Portal, corner: Corner, ray: wp.vec3, flat: float):
     which the ray passes as well, until no point is further out.
     """
     v = corner.point
-    if portal.stage == RAY:
+    if portal.stage == PORTAL_RAY:
         portal.first = corner
         portal.normal = wp.cross(v, ray)
-        portal.stage = wp.where(wp.length_sq(portal.normal) > 0.0, SIDE, FOUND)
-    elif portal.stage == SIDE:
+        portal.stage = wp.where(wp.length_sq(portal.normal) > 0.0, PORTAL_SIDE, PORTAL_FOUND)
+    elif portal.stage == PORTAL_SIDE:
         portal.second = corner
         portal.normal = wp.cross(portal.first.point, v)
-        portal.stage = CONE
+        portal.stage = PORTAL_CONE
         if wp.dot(portal.normal, ray) < 0.0:
             portal.second = portal.first
             portal.first = corner
             portal.normal = -portal.normal
-    elif portal.stage == CONE:
+    elif portal.stage == PORTAL_CONE:
         if wp.dot(wp.cross(portal.first.point, v), ray) > 0.0:
             portal.second = corner
             portal.normal = wp.cross(portal.first.point, v)
@@ -254,9 +260,9 @@ def next_corner(portal: Portal, corner: Corner, ray: wp.vec3, flat: float):
             portal.normal = wp.cross(v, portal.second.point)
         else:
             portal.third = corner
-            portal.stage = FACE
+            portal.stage = PORTAL_FACE
     elif wp.dot(v - portal.first.point, portal.normal) <= flat:
-        portal.stage = FOUND
+        portal.stage = PORTAL_FOUND
     else:
         before = wp.dot(wp.cross(v, portal.first.point), ray) >= 0.0
         if before and wp.dot(wp.cross(v, portal.second.point), ray) <= 0.0:
@@ -265,7 +271,7 @@ def next_corner(portal: Portal, corner: Corner, ray: wp.vec3, flat: float):
             portal.second = corner
         else:
             portal.first = corner
-    if portal.stage == FACE:
+    if portal.stage == PORTAL_FACE:
         side = portal.second.point - portal.first.point
         portal.normal = wp.cross(side, portal.third.point - portal.first.point)
     return portal
@@ -276,10 +282,10 @@ def leave(solids: Solids, shapes: Shapes, start: wp.vec3, ray: wp.vec3, reach: f
     """The face through which a ray from a point inside D leaves it, or the first direction with a gap above `reach`."""
     inline_on_gpu()
     portal = Portal()
-    portal.stage = RAY
+    portal.stage = PORTAL_RAY
     portal.normal = ray
     rounds = int(0)
-    while portal.stage != FOUND and rounds < PORTAL_ROUNDS:
+    while portal.stage != PORTAL_FOUND and rounds < PORTAL_ROUNDS:
         n = unit_or(portal.normal, ray)
         portal.normal = n
         corner = difference(solids, shapes, n)

@@ -28,15 +28,15 @@ from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-ROUNDS = wp.constant(6)
+CLIMBS = wp.constant(6)
 """Directions that are climbed along at most."""
 
 CUTS = wp.constant(12)
 """Points at most between the ends of a direction."""
 
-FINE = wp.constant(1.0e-3)
-FINEST = wp.constant(2.0e-6)
-"""A gain below FINE times the depth plus FINEST times the smaller size ends the search."""
+FINE_GAIN = wp.constant(1.0e-3)
+FINEST_GAIN = wp.constant(2.0e-6)
+"""A gain below FINE_GAIN times the depth plus FINEST_GAIN times the smaller size ends the search."""
 
 AHEAD = wp.constant(0.25)
 """Length of the step that finds the direction in which the border of a piece can be followed, in radii of the piece."""
@@ -44,7 +44,7 @@ AHEAD = wp.constant(0.25)
 NEARBY = wp.constant(1.0e-3)
 """Length over which the derivative of the map is taken, in radii of the piece."""
 
-HIDDEN = wp.constant(1.0e-4)
+INSIDE_ANOTHER_PART = wp.constant(1.0e-4)
 """A point of a part this deep in another part of its body, in sizes, is not on the surface."""
 
 
@@ -184,7 +184,7 @@ def is_hidden(shapes: Shapes, view: View, x: wp.vec3):
         return False
     p = wp.quat_rotate(shapes.parts[view.part].orientation, x) + shapes.parts[view.part].position
     d = true_distance(shapes, view.own, p, 0.0)
-    return d[3] < -HIDDEN * shapes.shapes[view.own].size
+    return d[3] < -INSIDE_ANOTHER_PART * shapes.shapes[view.own].size
 
 
 @wp.func(inline=False)
@@ -247,7 +247,7 @@ def close_in(shapes: Shapes, view: View, facet: Facet, here: Probe, there: Probe
             return bracket
         bracket.closed = 1
         span = wp.dot(bracket.high.point - bracket.low.point, u)
-        gain = view.fine + FINE * wp.max(low, 0.0)
+        gain = view.fine + FINE_GAIN * wp.max(low, 0.0)
         way = 0.5 * span
         if wp.min(high + fall * span - low, low + rise * span - high) > -gain:
             way = (high - low + fall * span) / (rise + fall)
@@ -288,9 +288,9 @@ def ascend(shapes: Shapes, view: View, facet: Facet, start: Probe):
     found.top = start
     direction = start.slope
     failures = int(0)
-    for _ in range(ROUNDS):
+    for _ in range(CLIMBS):
         here = found.top
-        gain = view.fine + FINE * wp.max(here.depth, 0.0)
+        gain = view.fine + FINE_GAIN * wp.max(here.depth, 0.0)
         step = AHEAD * facet.radius / wp.max(wp.length(direction), 1.0e-12)
         along = (on_facet(facet, here.point + step * direction) - here.point) / step
         slope = wp.length(along)

@@ -32,7 +32,7 @@ BEYOND = wp.constant(1.01)
 STEEP = wp.constant(0.05)
 """Slope of the distance above which an edge crosses another edge instead of lying along it."""
 
-FOUND = wp.constant(1.0e-4)
+EDGE_FOUND = wp.constant(1.0e-4)
 """The search along an edge ends when the point moves by less than this fraction of the half-length."""
 
 ASIDE = wp.constant(0.01)
@@ -156,7 +156,7 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     curved = is_curved(search, d)
     search = replace_end(search, d, search.turning)
     after = next_inside(search, curved)
-    if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > FOUND * search.half:
+    if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > EDGE_FOUND * search.half:
         after.stage = search.stage + 1
         return after
     if wp.abs(before) > BEYOND * search.half:

@@ -11,7 +11,7 @@ from warp_rigid.kernels.schema import Shapes
 wp.set_module_options({"enable_backward": False})
 
 
-MARGIN = wp.constant(2.0e-3)
+BORDER_MARGIN = wp.constant(2.0e-3)
 """A point beyond the border by less than this fraction of a body's size counts as above the field."""
 
 
@@ -168,7 +168,7 @@ def distance_to_heights(shapes: Shapes, part: int, p: wp.vec3, near: float, deep
             distance = wp.where(gap < 0.0, -length, length)
             n = best.arm / distance
     away = p - inside
-    margin = wp.min(MARGIN * deep, 1.0e-3 * size[0] / float(dims[0] - 1))
+    margin = wp.min(BORDER_MARGIN * deep, 1.0e-3 * size[0] / float(dims[0] - 1))
     if wp.length_sq(away) > margin * margin:
         above = wp.max(distance, 0.0)
         reach = wp.sqrt(above * above + wp.length_sq(away))

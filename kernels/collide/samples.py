@@ -51,7 +51,7 @@ RIM_FACING = wp.constant(3)
 RIM_FLAT = wp.constant(5.0e-4)
 """Sine of the tilt below which a rim has no deepest point. Rounding errors are a thousandth of it."""
 
-LOADED = wp.constant(0.02)
+RIM_LEAN = wp.constant(0.02)
 """A rim that lies flat touches where the load points, as if it were tilted by this times the load's share along it.
 
 At a tilt of twice this sine and more, as that of a cylinder that rolls, the load has no effect.
@@ -75,7 +75,7 @@ def rim_next(search: Search, d: wp.vec4, radius: float, load: wp.vec3, weight: f
         return nowhere(search)
     n = gradient(d)
     tilt = wp.length(wp.cross(n, search.along))
-    lean = n - wp.max(LOADED - 0.5 * tilt, 0.0) * wp.normalize(load)
+    lean = n - wp.max(RIM_LEAN - 0.5 * tilt, 0.0) * wp.normalize(load)
     down = wp.dot(lean, search.along) * search.along - lean
     if wp.length(down) < RIM_FLAT:
         return nowhere(search)

@@ -37,10 +37,10 @@ CLEARLY = wp.constant(3.0)
 FURTHEST = wp.constant(16.0)
 """The path of a step is extended at most by this factor."""
 
-SLOW = wp.constant(0.01)
+SLOW_APPROACH = wp.constant(0.01)
 """Samples that approach by less than this many contact distances in a step touch without further tests."""
 
-ROUNDS = wp.constant(6)
+PATH_DISTANCES = wp.constant(6)
 """Maximum number of distances along a path. They are enough for curved surfaces."""
 
 
@@ -131,7 +131,7 @@ def stays_outside(
     high = float(0.0)
     rise = float(0.0)
     t = wp.where(low < -allowed, 0.0, right)
-    for _round in range(ROUNDS):
+    for _round in range(PATH_DISTANCES):
         x = place_at(own, other, way.arm, wp.min(t, 1.0) * dt) + wp.max(t - 1.0, 0.0) * way.step
         d = signed_distance(shapes, other.shape, x, near)
         gap = d[3] - way.radius
@@ -184,7 +184,10 @@ def passes_by(
     `material_fall`: the approach in the step at the velocity of the contact point [m].
     """
     allowed = CONTACT_DISTANCE * size
-    if material_fall < SLOW * allowed or bodies.inverse_mass[approach.own] * bodies.inverse_mass[approach.other] > 0.0:
+    if (
+        material_fall < SLOW_APPROACH * allowed
+        or bodies.inverse_mass[approach.own] * bodies.inverse_mass[approach.other] > 0.0
+    ):
         return False
     own = course_before(approach.own, shapes, bodies, state, motions)
     other = course_before(approach.other, shapes, bodies, state, motions)
@@ -192,11 +195,13 @@ def passes_by(
     gap = placed.distance
     fall = -wp.dot(way.step, placed.direction)
     steps = float(1.0)
-    if fall >= SLOW * allowed:
+    if fall >= SLOW_APPROACH * allowed:
         steps = wp.clamp((gap + CLEARLY * allowed) / fall, 1.0, FURTHEST)
         if gap - steps * fall > -allowed:
             return False
-    elif material_fall < SLOW * allowed + dt * closing_speed(own, other, way.arm, way.start, placed.direction, 0.0):
+    elif material_fall < SLOW_APPROACH * allowed + dt * closing_speed(
+        own, other, way.arm, way.start, placed.direction, 0.0
+    ):
         return False
     near = way.radius + steps * wp.length(way.step)
     return stays_outside(way, own, other, dt, steps, allowed, near, shapes)

@@ -26,7 +26,7 @@ from warp_rigid.kernels.schema import Shapes
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
-ROUNDS = wp.constant(64)
+TRACE_ROUNDS = wp.constant(64)
 """Maximum rounds of a trace; a trace that needs more counts as touching at the point reached."""
 
 
@@ -104,7 +104,7 @@ def trace(
     curve = wp.length_sq(own.angular) * wp.length(arm) + other_spin * (2.0 * speed + other_spin * away)
     near = wp.where(slack > 0.0, -FAR, radius + shapes.shapes[other.shape].cell)
     t = float(begin)
-    for _round in range(ROUNDS):
+    for _round in range(TRACE_ROUNDS):
         x = place_at(own, other, arm, t)
         d = signed_distance(shapes, other.shape, x, near)
         left = d[3] - slack - radius + allowed
@@ -206,7 +206,7 @@ def trace_edge(
     curve = wp.length_sq(own.angular) * reach + other_spin * (2.0 * speed + other_spin * away)
     allowed = DEPTH * size
     t = float(0.0)
-    for round in range(ROUNDS):
+    for round in range(TRACE_ROUNDS):
         low = place_at(own, other, arm - slide, t)
         high = place_at(own, other, arm + slide, t)
         half = 0.5 * (high - low)

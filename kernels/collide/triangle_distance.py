@@ -40,40 +40,40 @@ LIKELY_ERROR = wp.constant(0.2)
 ON_SURFACE = wp.constant(2.0e-3)
 """Within this fraction of a cell of the surface the direction is the normal: rounding errors would turn the offset."""
 
-AGAINST = wp.constant(-0.1)
+AGAINST_FACE = wp.constant(-0.1)
 """A face opposes a sample if the scalar product of their normals is below this value."""
 
 ASKEW = wp.constant(-0.5)
 """The normal of a side or corner opposes a sample only if their scalar product is below this value. Where the edges of
 two equal bodies coincide, it is a mixture of the face in contact and of faces beside it."""
 
-BESIDE = wp.constant(0.0025)
+BESIDE_FACE = wp.constant(0.0025)
 """A sample counts as above a face up to this fraction of the smallest extent beyond the face's border, as with boxes
 (distance.py)."""
 
 LIKELY = wp.constant(0)
 ALL = wp.constant(1)
-OPPOSING = wp.constant(2)
-DONE = wp.constant(3)
+LOOK_OPPOSING = wp.constant(2)
+LOOK_DONE = wp.constant(3)
 
 PLACES = wp.constant(BALL_PLACES)
 
 SAME_PLACE = wp.constant(0.94)
 """Cosine (20 degrees) above which the directions of two places count as the same."""
 
-UPRIGHT = wp.constant(0.9999)
+ALONG_NORMAL = wp.constant(0.9999)
 """Squared cosine above which a direction counts as that of the normal."""
 
-FACE = wp.constant(0)
-SIDE = wp.constant(1)
-CORNER = wp.constant(4)
+ON_FACE = wp.constant(0)
+ON_SIDE = wp.constant(1)
+ON_CORNER = wp.constant(4)
 
 
 @wp.struct
 class Foot:
     """The point of a triangle nearest to a point.
 
-    `feature`: FACE, SIDE + k for the side from corner k to the next, or CORNER + k.
+    `feature`: ON_FACE, ON_SIDE + k for the side from corner k to the next, or ON_CORNER + k.
     """
 
     offset: wp.vec3
@@ -106,7 +106,7 @@ def foot_on_side(p: wp.vec3, a: wp.vec3, b: wp.vec3, k: int):
     foot = Foot()
     side = b - a
     foot.offset = p - a - wp.dot(p - a, side) / wp.dot(side, side) * side
-    foot.feature = SIDE + k
+    foot.feature = ON_SIDE + k
     return foot
 
 
@@ -119,20 +119,20 @@ def foot_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
     d1 = wp.dot(ab, p - a)
     d2 = wp.dot(ac, p - a)
     foot.offset = p - a
-    foot.feature = CORNER
+    foot.feature = ON_CORNER
     if d1 <= 0.0 and d2 <= 0.0:
         return foot
     d3 = wp.dot(ab, p - b)
     d4 = wp.dot(ac, p - b)
     if d3 >= 0.0 and d4 <= d3:
         foot.offset = p - b
-        foot.feature = CORNER + 1
+        foot.feature = ON_CORNER + 1
         return foot
     d5 = wp.dot(ab, p - c)
     d6 = wp.dot(ac, p - c)
     if d6 >= 0.0 and d5 <= d6:
         foot.offset = p - c
-        foot.feature = CORNER + 2
+        foot.feature = ON_CORNER + 2
         return foot
     if d1 * d4 - d3 * d2 <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         return foot_on_side(p, a, b, 0)
@@ -142,7 +142,7 @@ def foot_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
         return foot_on_side(p, b, c, 1)
     n = wp.normalize(wp.cross(ab, ac))
     foot.offset = wp.dot(p - a, n) * n
-    foot.feature = FACE
+    foot.feature = ON_FACE
     return foot
 
 
@@ -156,17 +156,17 @@ def box_gap_squared(p: wp.vec3, lower: wp.vec3, upper: wp.vec3):
 @wp.func
 def feature_normal(shapes: Shapes, triangle: int, feature: int):
     """Pseudonormal of a feature of a triangle."""
-    if feature == FACE:
+    if feature == ON_FACE:
         return shapes.triangles[triangle].normal
-    if feature == SIDE:
+    if feature == ON_SIDE:
         return shapes.triangles[triangle].side_0
-    if feature == SIDE + 1:
+    if feature == ON_SIDE + 1:
         return shapes.triangles[triangle].side_1
-    if feature == SIDE + 2:
+    if feature == ON_SIDE + 2:
         return shapes.triangles[triangle].side_2
-    if feature == CORNER:
+    if feature == ON_CORNER:
         return shapes.triangles[triangle].vertex_0
-    if feature == CORNER + 1:
+    if feature == ON_CORNER + 1:
         return shapes.triangles[triangle].vertex_1
     return shapes.triangles[triangle].vertex_2
 
@@ -193,7 +193,7 @@ def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, ahe
                 gap = wp.length_sq(foot.offset)
                 if gap < best.squared:
                     n = shapes.triangles[t].normal
-                    if not faced or (wp.dot(n, facing) < AGAINST and wp.dot(n, foot.offset) <= ahead):
+                    if not faced or (wp.dot(n, facing) < AGAINST_FACE and wp.dot(n, foot.offset) <= ahead):
                         best.squared = gap
                         best.triangle = t
                         best.feature = foot.feature
@@ -206,14 +206,14 @@ def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, ahe
 def border_width(shapes: Shapes, part: int):
     """How far beyond the border of a face of a mesh a sample still counts as above the face [m]."""
     root = shapes.parts[part].tree_start
-    return BESIDE * wp.min(shapes.tree[root].upper - shapes.tree[root].lower)
+    return BESIDE_FACE * wp.min(shapes.tree[root].upper - shapes.tree[root].lower)
 
 
 @wp.func
 def is_opposed(normal: wp.vec3, facing: wp.vec3, feature: int):
     """Whether the normal of a feature opposes a sample, or there is no sample normal."""
     cosine = wp.dot(normal, facing)
-    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == FACE, AGAINST, ASKEW)
+    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == ON_FACE, AGAINST_FACE, ASKEW)
 
 
 @wp.func
@@ -235,27 +235,29 @@ def triangle_distance(
     ahead = float(0.0)
     sign = float(1.0)
     stage = int(LIKELY)
-    while stage < DONE:
+    while stage < LOOK_DONE:
         found = nearest_triangle(shapes, part, p, asked, ahead, radius)
         if found.triangle >= 0:
             best = found
-            feature = wp.where(sign < 0.0 or ahead > 0.0, FACE, best.feature)
+            feature = wp.where(sign < 0.0 or ahead > 0.0, ON_FACE, best.feature)
             normal = feature_normal(shapes, best.triangle, feature)
             if ahead > 0.0:
                 return wp.vec4(normal[0], normal[1], normal[2], wp.dot(normal, best.offset))
             inside = sign < 0.0 or wp.dot(best.offset, normal) < 0.0
             sign = wp.where(inside, -1.0, 1.0)
-        stage = wp.where(stage == LIKELY and found.triangle < 0, ALL, wp.where(stage == OPPOSING, DONE, OPPOSING))
+        stage = wp.where(
+            stage == LIKELY and found.triangle < 0, ALL, wp.where(stage == LOOK_OPPOSING, LOOK_DONE, LOOK_OPPOSING)
+        )
         radius = within
-        if stage == OPPOSING:
+        if stage == LOOK_OPPOSING:
             asked = facing
             radius += shapes.parts[part].grid_spacing
-            if best.triangle < 0 or is_opposed(normal, facing, wp.where(sign < 0.0, FACE, best.feature)):
-                stage = DONE
+            if best.triangle < 0 or is_opposed(normal, facing, wp.where(sign < 0.0, ON_FACE, best.feature)):
+                stage = LOOK_DONE
             elif sign > 0.0:
                 ahead = border_width(shapes, part)
                 radius = ahead
-                stage = wp.where(best.squared < ahead * ahead, OPPOSING, DONE)
+                stage = wp.where(best.squared < ahead * ahead, LOOK_OPPOSING, LOOK_DONE)
     if best.triangle < 0:
         return fallback
     distance = wp.sqrt(best.squared)
@@ -268,7 +270,7 @@ def triangle_distance(
 def is_upright(foot: Foot, normal: wp.vec3):
     """Whether a point lies above its foot on a triangle; the foot may lie on the border to a face in the same plane."""
     height = wp.dot(foot.offset, normal)
-    aligned = foot.feature == FACE or height * height > UPRIGHT * wp.length_sq(foot.offset)
+    aligned = foot.feature == ON_FACE or height * height > ALONG_NORMAL * wp.length_sq(foot.offset)
     return height > 0.0 and aligned
 
 

@@ -9,7 +9,7 @@ mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 mat63d = wp.types.matrix(shape=(6, 3), dtype=wp.float64)
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
 
-SYMBOLS = {
+JOINT_SYMBOLS = {
     "joints": "joints of all environments",
     "joined": "bodies of all environments; 0 if none of them has joints",
     "mechanisms": "groups of joints that dynamic bodies connect",

@@ -29,7 +29,7 @@ IDLE = wp.constant(4)
 TOLERANCE = wp.constant(wp.float64(1.0e-7))
 """Distance from a limit that counts as none [m or rad]."""
 
-NEAR = wp.constant(wp.float64(1.0e-5))
+NEAR_LIMIT = wp.constant(wp.float64(1.0e-5))
 """Distance from a limit at which a coordinate that approaches it is stopped before the step's forces act."""
 
 
@@ -107,9 +107,9 @@ def mode_before_forces(j: int, value: wp.float64, speed: wp.float64, joints: Joi
     """Mode in which the velocities at the start of a step are made to obey the joints."""
     if joints.numbers[j, JointNumber.LOWER] == joints.numbers[j, JointNumber.UPPER]:
         return wp.vec3i(AT_LOWER, 0, 0)
-    if value > number_of(j, JointNumber.UPPER, joints) - NEAR and speed > wp.float64(0.0):
+    if value > number_of(j, JointNumber.UPPER, joints) - NEAR_LIMIT and speed > wp.float64(0.0):
         return wp.vec3i(AT_UPPER, 0, 0)
-    if value < number_of(j, JointNumber.LOWER, joints) + NEAR and speed < wp.float64(0.0):
+    if value < number_of(j, JointNumber.LOWER, joints) + NEAR_LIMIT and speed < wp.float64(0.0):
         return wp.vec3i(AT_LOWER, 0, 0)
     return wp.vec3i(IDLE, 0, 0)
 

@@ -26,7 +26,7 @@ from warp_rigid.kernels.joints.mechanism import energy_terms
 from warp_rigid.kernels.schema import Contacts, Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import warm_start_pair
 from warp_rigid.kernels.solve.line_search import (
-    FINE,
+    FIXED_POINT,
     accepted_share,
     add_terms,
     add_up,
@@ -97,7 +97,7 @@ def add_joint_terms(team: Team, graph: Graph, motions: Motions, joints: Joints):
     """Add the contributions of joints, as `add_terms` those of constraints."""
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
         island = island_of_joint(j, motions, joints, graph)
-        terms = FINE / wp.float64(graph.largest[island]) * joints.terms[j]
+        terms = FIXED_POINT / wp.float64(graph.largest[island]) * joints.terms[j]
         add_up(island, wp.int64(terms[0]), wp.int64(terms[1]), graph)
     sync_team(team)
 

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.collide.ccd import NO_IMPACT, motion_after, time_of
+from warp_rigid.kernels.collide.ccd import NEVER, motion_after, time_of
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
 from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team, sync_team, team_of
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
@@ -57,7 +57,7 @@ from warp_rigid.kernels.solve.gauss_seidel import (
     sweep,
     sweeps_of,
 )
-from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
+from warp_rigid.kernels.solve.line_search import FIXED_POINT, accepted_share, searched
 from warp_rigid.kernels.solve.restitution import open_impacts, sweep_impacts
 from warp_rigid.kernels.solve.shock import is_propagated
 from warp_rigid.kernels.tuning import CONVERGED, PUSH_OUT_CONVERGED, PUSH_OUT_SWEEPS
@@ -336,7 +336,7 @@ def add_energy_of_joints(dt: float, lanes: int, envs: Environments, graph: Graph
         island = island_of_joint(j, motions, joints, graph)
         terms = energy_terms(j, dt, motions, joints) * wp.float64(1.0 / graph.largest[island])
         for k in range(2):
-            terms[k] = FINE * wp.clamp(terms[k], -MOST_OF_LARGEST, MOST_OF_LARGEST)
+            terms[k] = FIXED_POINT * wp.clamp(terms[k], -MOST_OF_LARGEST, MOST_OF_LARGEST)
         wp.atomic_add(graph.numerator, island, wp.int64(terms[0]))
         wp.atomic_add(graph.denominator, island, wp.int64(terms[1]))
 
@@ -461,7 +461,7 @@ def share_impacts(dt: float, lanes: int, bodies: Bodies, state: State, pairs: Pa
         if motions.first_impact[joints.member[i]] < motions.first_impact[hit]:
             hit = joints.member[i]
     first = motions.first_impact[hit]
-    if first == NO_IMPACT:
+    if first == NEVER:
         return
     t = time_of(first)
     after = motion_after(hit, first, dt, bodies, state, pairs, motions)

@@ -47,7 +47,7 @@ MOST_CHANGES = wp.constant(8)
 MOST_PREDICTIONS = wp.constant(16)
 """Maximum solutions at newly predicted poses, at the start and at the end of a step. Two are enough for slow bodies."""
 
-SLOW = wp.constant(0.5)
+SLOW_DECREASE = wp.constant(0.5)
 """Ratio of two successive residuals from which on the rows become those of the predicted poses.
 
 With the rows of the pose at the start of the step, the solutions converge slowly, or diverge, if light links between
@@ -65,7 +65,7 @@ KEPT_ERROR = wp.constant(wp.float64(0.5))
 FASTEST = wp.constant(wp.float64(1.0))
 """Largest speed at which errors are corrected [m/s, rad/s]."""
 
-FINE = wp.constant(1.0e-5)
+JOINT_SOLVED = wp.constant(1.0e-5)
 """Residual of a joint below which it counts as solved [m/s, rad/s]: less than 0.1 micrometres per step."""
 
 
@@ -301,7 +301,7 @@ def update_modes(m: int, dt: float, team: Team, motions: Motions, joints: Joints
 
 @wp.func
 def solve_mechanism(m: int, dt: float, is_stale: int, team: Team, motions: Motions, joints: Joints):
-    """Solve all joints of a mechanism for the velocities. Returns the largest residual [m/s], 0 below FINE.
+    """Solve all joints of a mechanism for the velocities. Returns the largest residual [m/s], 0 below JOINT_SOLVED.
 
     `is_stale`: 1 if the factors are not those of the present modes.
     """
@@ -316,7 +316,7 @@ def solve_mechanism(m: int, dt: float, is_stale: int, team: Team, motions: Motio
             change = wp.max(change, solve_once(m, dt, team, motions, joints))
             stale = update_modes(m, dt, team, motions, joints)
             left = stale * (left - 1)
-    return wp.where(change > FINE, change, 0.0)
+    return wp.where(change > JOINT_SOLVED, change, 0.0)
 
 
 @wp.func
@@ -401,7 +401,7 @@ def settle_mechanism(
             k = 0
         else:
             left = change
-            if k > 0 and change > SLOW * last and anew == 0:
+            if k > 0 and change > SLOW_DECREASE * last and anew == 0:
                 if exact == 1:
                     return 1
                 take_back(m, team, motions, joints)
@@ -410,7 +410,7 @@ def settle_mechanism(
                 # Each solution decreases the residual by the same ratio, or more. Contacts need a known residual.
                 left = change * change / last
             last = change
-            k = wp.where(left <= FINE, MOST_PREDICTIONS, k + 1)
+            k = wp.where(left <= JOINT_SOLVED, MOST_PREDICTIONS, k + 1)
         stale = anew
     unsettled = wp.where(last > UNSETTLED, 1, 0)
     if team.lane == 0:
@@ -461,9 +461,9 @@ def close_joints(m: int, dt: float, team: Team, bodies: Bodies, state: State, mo
             gap = wp.max(gap, largest_of(joints.bias[j]))
         gap = max_of_lanes(gap, team.lanes)
         sync_team(team)
-        if gap > FINE:
+        if gap > JOINT_SOLVED:
             push_back(m, dt, team, motions, joints)
-        k = wp.where(gap > FINE, k + 1, MOST_PREDICTIONS)
+        k = wp.where(gap > JOINT_SOLVED, k + 1, MOST_PREDICTIONS)
 
 
 @wp.func

@@ -23,7 +23,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MARKED_TURNS = wp.constant(32 * TURN_WORDS)
 """Number of turns that are marked at each body. A pair that finds none of them free comes after the last turns."""
 
-ALL_TAKEN = wp.constant(wp.uint32(0xFFFFFFFF))
+ALL_TURNS_TAKEN = wp.constant(wp.uint32(0xFFFFFFFF))
 
 WAITING, LEFT_OUT = wp.constant(-1), wp.constant(0)
 """Values of `visited` while turns are assigned: a pair that has no turn yet, and one that is not visited."""
@@ -63,11 +63,11 @@ def taken_turns(b: int, word: int, visits: VisitOrder):
 def first_free_turn(a: int, b: int, graph: Graph, visits: VisitOrder):
     """The first turn, from 0, in which no pair has touched two bodies. `changed` is the last turn of each."""
     word = int(0)
-    taken = ALL_TAKEN
-    while word < TURN_WORDS and taken == ALL_TAKEN:
+    taken = ALL_TURNS_TAKEN
+    while word < TURN_WORDS and taken == ALL_TURNS_TAKEN:
         taken = taken_turns(a, word, visits) | taken_turns(b, word, visits)
         word += 1
-    if taken != ALL_TAKEN:
+    if taken != ALL_TURNS_TAKEN:
         return 32 * (word - 1) + lowest_bit(~taken)
     last = MARKED_TURNS - 1
     if a >= 0:

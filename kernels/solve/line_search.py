@@ -22,7 +22,7 @@ from warp_rigid.kernels.solve.shock import is_propagated, island_of
 wp.set_module_options({"enable_backward": False})
 
 
-FINE = wp.constant(wp.float64(2.0**40))
+FIXED_POINT = wp.constant(wp.float64(2.0**40))
 """Fixed-point resolution relative to the largest summand of an island; 2^22 summands fit into 63 bits."""
 
 
@@ -110,7 +110,7 @@ def add_terms(team: Team, order: Order, graph: Graph, motions: Motions):
             numerator = wp.int64(0)
             denominator = wp.int64(0)
             summed = island
-        scale = FINE / wp.float64(graph.largest[island])
+        scale = FIXED_POINT / wp.float64(graph.largest[island])
         numerator += wp.int64(scale * wp.float64(graph.energy_terms[k][0]))
         denominator += wp.int64(scale * wp.float64(graph.energy_terms[k][1]))
     add_up(summed, numerator, denominator, graph)

@@ -18,7 +18,7 @@ on each other in all directions, the step length is nearly zero, and shock propa
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import (
-    LOADED,
+    UNDER_LOAD,
     BodyPair,
     inverse_inertia_of,
     inverse_mass_of,
@@ -84,11 +84,11 @@ def under_load(entry: OrderRecord, pair: BodyPair, motions: Motions):
     a = entry.body_a
     b = entry.body_b
     if pair.inverse_mass_a > 0.0:
-        pair.linear_a = load_velocity(a, LOADED, motions)
-        pair.angular_a = load_velocity(a, LOADED + 1, motions)
+        pair.linear_a = load_velocity(a, UNDER_LOAD, motions)
+        pair.angular_a = load_velocity(a, UNDER_LOAD + 1, motions)
     if pair.inverse_mass_b > 0.0:
-        pair.linear_b = load_velocity(b, LOADED, motions)
-        pair.angular_b = load_velocity(b, LOADED + 1, motions)
+        pair.linear_b = load_velocity(b, UNDER_LOAD, motions)
+        pair.angular_b = load_velocity(b, UNDER_LOAD + 1, motions)
     return pair
 
 
@@ -96,9 +96,9 @@ def under_load(entry: OrderRecord, pair: BodyPair, motions: Motions):
 def store_loaded_bodies(entry: OrderRecord, pair: BodyPair, motions: Motions):
     """Store the velocities of the bodies that are not frozen as their velocities under load."""
     if pair.inverse_mass_a > 0.0:
-        store_velocity(entry.body_a, LOADED, pair.linear_a, pair.angular_a, motions)
+        store_velocity(entry.body_a, UNDER_LOAD, pair.linear_a, pair.angular_a, motions)
     if pair.inverse_mass_b > 0.0:
-        store_velocity(entry.body_b, LOADED, pair.linear_b, pair.angular_b, motions)
+        store_velocity(entry.body_b, UNDER_LOAD, pair.linear_b, pair.angular_b, motions)
 
 
 @wp.func
@@ -106,10 +106,10 @@ def add_load(b: int, pair: BodyPair, motions: Motions):
     """Add the impulse on a frozen body to its load."""
     inverse_mass = inverse_mass_of(b, motions)
     if inverse_mass > 0.0:
-        linear = load_velocity(b, LOADED, motions) + inverse_mass * pair.frozen_impulse
-        angular = load_velocity(b, LOADED + 1, motions)
+        linear = load_velocity(b, UNDER_LOAD, motions) + inverse_mass * pair.frozen_impulse
+        angular = load_velocity(b, UNDER_LOAD + 1, motions)
         store_velocity(
-            b, LOADED, linear, angular + inverse_inertia_of(b, motions) * pair.frozen_angular_impulse, motions
+            b, UNDER_LOAD, linear, angular + inverse_inertia_of(b, motions) * pair.frozen_angular_impulse, motions
         )
 
 
@@ -213,13 +213,13 @@ def propagate(
     last = envs.first_body[env + 1]
     zero = wp.vec3(0.0, 0.0, 0.0)
     for b in range(first + team.lane, last, lanes):
-        store_velocity(b, LOADED, zero, zero, motions)
+        store_velocity(b, UNDER_LOAD, zero, zero, motions)
     for down in range(wp.where(mode == ShockMode.TWO_PASS, 2, 1)):
         if down == 1:
             for b in range(first + team.lane, last, lanes):
                 solver_body = motions.solver_bodies[b]
                 linear = solver_body.linear + solver_body.loaded_linear
-                store_velocity(b, LOADED, linear, solver_body.angular + solver_body.loaded_angular, motions)
+                store_velocity(b, UNDER_LOAD, linear, solver_body.angular + solver_body.loaded_angular, motions)
         solve_levels(mode, down, first, last, team, order, graph, motions, contacts)
     if mode == ShockMode.TWO_PASS:
         for b in range(first + team.lane, last, lanes):

@@ -15,7 +15,7 @@ from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False})
 
-DEEP = wp.constant(0.05)
+WATCHED_OVERLAP = wp.constant(0.05)
 """Overlap from which a contact is watched, as a fraction of the smaller body's size."""
 
 SHRINKING = wp.constant(wp.float64(0.95))
@@ -49,7 +49,7 @@ HEAVIEST_LOAD = wp.constant(1.0e5)
 SPACING = wp.constant(2.0**-23)
 """Largest distance of neighbouring numbers in single precision, relative to them."""
 
-GAINED, KINETIC, DEPTH, CHECKS = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
+GAINED, KINETIC, DEEPEST, CHECKS = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 """Components of State.health."""
 
 
@@ -69,7 +69,7 @@ def check_overlaps(threads: int, shapes: Shapes, bodies: Bodies, pairs: Pairs, h
             depth = wp.max(depth, -history.gap[c])
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if depth > DEEP * smaller_size(a, b, shapes, bodies):
+        if depth > WATCHED_OVERLAP * smaller_size(a, b, shapes, bodies):
             wp.atomic_max(motions.overlap, a, depth)
             wp.atomic_max(motions.overlap, b, depth)
 
@@ -130,7 +130,7 @@ def check_bodies(shapes: Shapes, bodies: Bodies, motions: Motions, state: State,
     env = bodies.env[b]
     rank = envs.first_body[env + 1] - b
     checks = wp.float64(0.0)
-    if depth > wp.float64(0.0) and depth > SHRINKING * health[DEPTH] and health[DEPTH] > wp.float64(0.0):
+    if depth > wp.float64(0.0) and depth > SHRINKING * health[DEEPEST] and health[DEEPEST] > wp.float64(0.0):
         checks = health[CHECKS] + wp.float64(1.0)
     v = wp.vec3d(state.linear_velocity[b])
     w = wp.vec3d(state.angular_velocity[b])

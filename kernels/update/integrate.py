@@ -9,7 +9,7 @@ from warp_rigid.kernels.update.predict import is_finite
 wp.set_module_options({"enable_backward": False})
 
 
-MOST_PARTS = wp.constant(1024)
+MOST_TURN_PARTS = wp.constant(1024)
 """Maximum substeps for the rotation of a step."""
 
 ENERGY_TOLERANCE = wp.constant(wp.float64(1.0e-3))
@@ -144,7 +144,7 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
     momentum = r * (inertia * (wp.transpose(r) * spin))
     energy = wp.dot(momentum, spin)
     parts = 1 + int(wp.min(dt * wp.length(spin) * wp.float64(2.0), wp.float64(63.0)))
-    while parts <= MOST_PARTS:
+    while parts <= MOST_TURN_PARTS:
         after = free_turn(turn, momentum, inverse, dt, parts)
         spin_after = spin_of(after, momentum, inverse)
         if wp.abs(wp.dot(momentum, spin_after) - energy) <= ENERGY_TOLERANCE * energy:
