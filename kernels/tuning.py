@@ -49,9 +49,12 @@ SWEEPS_PER_DEPTH = wp.constant(2)
 """Additional sweeps per depth of the contact graph where an island is solved by sweeps alone, which then transmit its
 load."""
 
-LEAST_CALM, MOST_CALM = wp.constant(6), wp.constant(30)
-"""Maximum sweeps with momentum over an island at rest (calm.py), as a multiple of `contact_iterations`: the number of
-its bodies, within these bounds. The foot of a tall cylinder needs 30 to 50 sweeps."""
+LEAST_CALM = wp.constant(6)
+"""Maximum sweeps with momentum over an island of so many bodies or fewer at rest (calm.py), as a multiple of
+`contact_iterations`. The foot of a tall cylinder needs 30 to 50 sweeps."""
+
+MOST_CALM = wp.constant(30)
+"""The same for islands of so many bodies or more; between them, it is the number of bodies."""
 
 MOST_IN_MOTION = wp.constant(6)
 """Maximum sweeps with momentum over several bodies that were placed where they are and move, such as a tower that
@@ -79,10 +82,12 @@ SHOCK_SWEEPS = wp.constant(4)
 """Maximum sweeps of a pass, besides those for each level of depth. With two, a tower of thirty crossed layers of beams
 collapses."""
 
-SWEEPS_PER_LEVEL, SWEEPS_PER_LEVEL_OF_PILE = wp.constant(3), wp.constant(2)
-"""Further sweeps of a pass for each level of depth, in general and in loose piles. With two in general, towers that
-topple gain 5e-4 of their energy, and a ragdoll that has fallen under a plate keeps moving; with one in piles, a bunny
-rocks by 1 mrad."""
+SWEEPS_PER_LEVEL = wp.constant(3)
+"""Further sweeps of a pass for each level of depth. With two, towers that topple gain 5e-4 of their energy, and a
+ragdoll that has fallen under a plate keeps moving."""
+
+SWEEPS_PER_LEVEL_OF_PILE = wp.constant(2)
+"""The same in piles without joints. With one, a bunny rocks by 1 mrad."""
 
 PAIR_ITERATIONS = wp.constant(4)
 """Maximum rounds over the contacts of a pair per visit, if its upper body has no other support. With one, a stack of 50
@@ -94,17 +99,23 @@ beams collapses; with eight, the first pair takes the whole load, and a pyramid 
 
 # Rounds
 
-PILE_ROUNDS, PILE_ROUNDS_PER_BODY = wp.constant(4.0), wp.constant(0.3)
-"""Maximum number of rounds in a pile that moves, as a multiple of `contact_iterations`: a constant part, and a part for
-each body that load passes on its way to the ground: along the edge of a cube of as many bodies, or along the height if
-that is larger. It converges over several steps."""
+PILE_ROUNDS = wp.constant(4.0)
+"""Maximum number of rounds in a pile that moves, as a multiple of `contact_iterations`: the constant part. A pile
+converges over several steps."""
 
-STRUCTURE_ROUNDS, STRUCTURE_ROUNDS_PER_BODY = wp.constant(20.0), wp.constant(2.0)
-"""Maximum number of rounds in a structure, whose bodies were placed where they are, and in a pile that hardly moves. A
-pyramid of 100 rows needs 3000 rounds in its first step, and a few in later ones."""
+PILE_ROUNDS_PER_BODY = wp.constant(0.3)
+"""The part of it for each body that load passes on its way to the ground: along the edge of a cube of as many bodies,
+or along the height if that is larger."""
+
+STRUCTURE_ROUNDS = wp.constant(20.0)
+"""The constant part in a structure, whose bodies were placed where they are, and in a pile that hardly moves."""
+
+STRUCTURE_ROUNDS_PER_BODY = wp.constant(2.0)
+"""The part for each body that load passes there. A pyramid of 100 rows needs 3000 rounds in its first step, and a few
+in later ones."""
 
 STRUCTURE_ROUNDS_AT_REST = wp.constant(100.0)
-"""The constant part of it for structures that hardly move. A tower of 400 flat bricks, whose layers are lower than its
+"""The constant part in a structure that hardly moves. A tower of 400 flat bricks, whose layers are lower than its
 bodies are long, needs 800 rounds in its first step; if it does not get them, it needs as many as it gets in each
 step."""
 
@@ -230,7 +241,6 @@ def thresholds() -> dict[str, Threshold]:
     body = ast.parse(Path(__file__).read_text(encoding="utf-8")).body
     for node, doc in zip(body, body[1:], strict=False):
         if isinstance(node, ast.Assign) and isinstance(doc, ast.Expr) and isinstance(doc.value, ast.Constant):
-            for name in ast.walk(node.targets[0]):
-                if isinstance(name, ast.Name):
-                    found[name.id] = Threshold(float(globals()[name.id]), " ".join(str(doc.value.value).split()))
+            name = ast.unparse(node.targets[0])
+            found[name] = Threshold(float(globals()[name]), " ".join(str(doc.value.value).split()))
     return found
