@@ -1,4 +1,4 @@
-"""Thresholds of the contact solver: which island is solved how, when iterations end, and what is corrected.
+"""Thresholds of the contact solver, the contact search, continuous collision detection and sleeping.
 
 Each has its unit, the reason for its value, and the scene that shows it. The velocity unit is `Motions.velocity_unit`:
 what gravity adds to a velocity in a step, but at most 0.04 m/s. Sizes of a body are `ShapeRecord.size`. Checkpoints
@@ -226,6 +226,136 @@ PARALLEL_NORMALS = wp.constant(0.99999)
 ON_A_LINE = wp.constant(1.0e-5)
 """Fraction of the sum of the second moments that is added to both, so that contacts on a line have a solution."""
 
+# Contact search
+
+CONTACT_DISTANCE = wp.constant(5.0e-4)
+"""Samples closer than this fraction of the smaller body's size count as touching."""
+
+NEAR_REACH = wp.constant(0.25)
+"""Reach of contacts of fast bodies, and the largest speculative distance, as fractions of the smaller size."""
+
+PUSHED = wp.constant(0.5)
+"""The speculative distance is this fraction of the path of the faster body in the step: without restitution, two bodies
+of the same mass that collide share their velocity."""
+
+REUSE_TRAVEL = wp.constant(2.5e-4)
+"""Pairs that have moved less than this fraction of the smaller size, half the contact distance, keep their contacts."""
+
+TURNED_BACK = wp.constant(0.25)
+"""Separating samples closer than this fraction of the pair's reach are kept: they may come back within the step."""
+
+CLEARLY = wp.constant(3.0)
+"""A sample clearly enters a face if it is deeper than this many contact distances."""
+
+FURTHEST_PATH = wp.constant(16.0)
+"""The path of a step is extended at most by this factor."""
+
+SLOW_APPROACH = wp.constant(0.01)
+"""Samples that approach by less than this many contact distances in a step touch without further tests."""
+
+RIM_FLAT = wp.constant(5.0e-4)
+"""Sine of the tilt below which a rim has no deepest point. Rounding errors are a thousandth of it."""
+
+RIM_LEAN = wp.constant(0.02)
+"""A rim that lies flat touches where the load points, as if it were tilted by this times the load's share along it. At
+a tilt of twice this sine and more, as that of a cylinder that rolls, the load has no effect."""
+
+# Choice of contacts
+
+SAME_PATCH = wp.constant(0.94)
+"""Cosine (20 degrees) above which two contact normals belong to the same patch."""
+
+TIPPED_WEIGHT = wp.constant(20.0)
+"""Reduction of a sample's extent per metre of gap: the sample touches first once the bodies have tilted by three
+degrees."""
+
+TURNING_WEIGHT = wp.constant(5.0)
+"""Least reduction per metre of gap, for bodies that turn by a fifth of a radian or more in the step."""
+
+UPRIGHT_WEIGHT = wp.constant(200.0)
+"""Reduction per metre of gap for bodies at rest, in every other direction."""
+
+TRAVEL_WEIGHT = wp.constant(0.5)
+"""Reduction between TIPPED_WEIGHT and UPRIGHT_WEIGHT: this constant times the smaller size over the pair's travel in
+the step."""
+
+RANKED_GAP = wp.constant(0.02)
+"""Overlaps beyond this fraction of the smaller size count as equal. Otherwise the deepest sample of a deep overlap
+would replace those that support the body, which would then turn further in about a single contact. Gaps beyond it that
+close count as equal, too, where a body is a convex solid: it has few samples, and may turn onto each of its corners."""
+
+COMES_NEAR = wp.constant(0.5)
+"""A gap closes if less than this fraction of it is left after the step. If all gaps beyond RANKED_GAP counted as equal,
+the edge of a narrow tile beyond the end of a capsule would replace the contact that carries it."""
+
+TIE = wp.constant(1.0e-6)
+"""A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
+size, so that rounding errors have no effect."""
+
+SLOPING = wp.constant(0.025)
+"""Share of a load along the contact from which it has a direction there: a slope of 1.4 degrees."""
+
+# Deep overlaps
+
+DEEP_OVERLAP = wp.constant(0.02)
+"""If convex solids overlap by more than this fraction of the smaller size along every normal of their samples, these
+are compared with the axis of least overlap."""
+
+DOUBTFUL = wp.constant(0.005)
+"""Depth from which this is also done where samples are less deep than the solids overlap along their normals."""
+
+ALONG_AXIS = wp.constant(0.5)
+"""In a deep overlap, samples whose normal has a cosine with the axis of least overlap below this value are dropped."""
+
+TRUSTED = wp.constant(1.25)
+"""In a deep overlap, samples deeper than this factor times the depth are dropped. Without one that is as deep as the
+depth divided by it, a contact along the axis is added."""
+
+OPPOSING_NORMALS = wp.constant(-0.8)
+"""Two contact normals with a cosine below this oppose each other."""
+
+HIDDEN_DEPTH = wp.constant(0.1)
+"""Depth from which a sample that is no contact shows that two bodies are crossed, as a fraction of the radius of the
+smaller one of their largest inner balls."""
+
+# Continuous collision detection
+
+FAST_TRAVEL = wp.constant(0.25)
+"""A pair is traced if its relative motion in a step exceeds this fraction of the smaller size."""
+
+ALLOWED_DEPTH = wp.constant(0.02)
+"""Depth of penetration at which a body is stopped, as a fraction of the smaller size."""
+
+DEPTH_OF_CONTACTS = wp.constant(0.1)
+"""Depth at which touching bodies are stopped if one of them is joined to others, as a fraction of the smaller size.
+They are left to the solver and the push-out. All bodies of a mechanism stop together; at a smaller depth, a heap of
+mechanisms that fold up would stop in nearly every step."""
+
+CLOSE_ENOUGH = wp.constant(2.0e-3)
+"""A trace or an advancement ends when the remaining distance is below this fraction of the smaller size."""
+
+LEFT_OF_DEPTH = wp.constant(0.25)
+"""Fraction of the allowed depth by which a pair may get deeper without being traced again. After a trace, bodies get
+deeper than allowed by at most their relative motion after the impact that was found, and by the changes of their
+relative motion since. A pair is traced again when the sum of these bounds exceeds this fraction, so that the overlap
+stays below 1 + LEFT_OF_DEPTH times the allowed depth. Bodies between two others are hit by both in turn, and each hit
+changes their motion by a part of the last one: without this bound, most rounds change next to nothing."""
+
+TURNS_OF_A_MECHANISM = wp.constant(2)
+"""Rounds for each mechanism of an environment: mechanisms that fall together stop one after the other, and each stop
+changes the motion of all bodies of a mechanism."""
+
+# Sleeping
+
+SLEEP_SPEED = wp.constant(0.1)
+"""Speed below which a body counts as slow, in body sizes per second; also applies to the rotation of its surface."""
+
+SLEEP_TRAVEL = wp.constant(0.02)
+"""Displacement allowed for a body at rest, as a fraction of its size."""
+
+SLEEP_DELAY = wp.constant(0.5)
+"""Time for which a body must have been at rest to fall asleep [s]."""
+
 
 class Threshold(NamedTuple):
     """A value of this file, with its unit, its reason and the scene that shows it in words."""
@@ -236,7 +366,7 @@ class Threshold(NamedTuple):
 
 @cache
 def thresholds() -> dict[str, Threshold]:
-    """The thresholds of the solver by name, in the order of this file."""
+    """The thresholds by name, in the order of this file."""
     found = {}
     body = ast.parse(Path(__file__).read_text(encoding="utf-8")).body
     for node, doc in zip(body, body[1:], strict=False):

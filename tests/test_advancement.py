@@ -13,7 +13,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels import schema
 from warp_rigid.kernels.collide.ccd import NEVER, PAIR_NUMBERS, UNITS_OF_TIME
 from warp_rigid.kernels.collide.convex import is_solid
-from warp_rigid.kernels.collide.course import DEPTH
+from warp_rigid.kernels.tuning import ALLOWED_DEPTH
 from warp_rigid.rotations import about_axis, multiply
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Plane, Sphere
@@ -69,7 +69,7 @@ def test_the_time_of_impact_is_that_of_float64(device, kind):
     hit = first < int(NEVER)
     times = np.where(hit, first // int(PAIR_NUMBERS) / float(UNITS_OF_TIME), 1.0) * DT
     shapes = stages.model.shapes.shapes.numpy()
-    allowed = float(DEPTH) * min(shapes["size"].min(), 2.0 * shapes["wall"].min())
+    allowed = float(ALLOWED_DEPTH) * min(shapes["size"].min(), 2.0 * shapes["wall"].min())
     before = np.max([overlap(times * share) for share in np.linspace(0.0, 0.999, 100)], axis=0)
     assert 10 < hit.sum() < count - 5
     # An advancement ends at 2e-3 sizes; the oracle of round solids finds depths that are slightly too large.
@@ -101,10 +101,10 @@ def test_a_slower_body_keeps_its_motion_and_the_faster_one_turns_with_it(device)
     assert np.abs(hit - alone).max() < 2e-3
     turns = sim.get("orientation").astype(float)
     np.testing.assert_allclose(np.abs(turns[0, 0] @ turns[1, 0]), 1.0, atol=1e-4)
-    left = 1.0 - (0.7 + float(DEPTH) * 2 * HALF) / (60.0 * DT)
+    left = 1.0 - (0.7 + float(ALLOWED_DEPTH) * 2 * HALF) / (60.0 * DT)
     assert abs(turns[0, 1, 1]) == pytest.approx(0.5 * 4.0 * DT * left, rel=0.05)
     overlap = overlaps(solid(CUBE), solid(CUBE), sim.get("position")[:1].astype(float), turns[:1])
-    assert overlap[0] == pytest.approx(float(DEPTH) * 2 * HALF, abs=1e-3)
+    assert overlap[0] == pytest.approx(float(ALLOWED_DEPTH) * 2 * HALF, abs=1e-3)
 
 
 @wp.kernel

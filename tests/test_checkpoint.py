@@ -246,7 +246,7 @@ def test_other_thresholds_are_named(saved, tmp_path, caplog):
     path = with_header(saved, tmp_path / "other", lambda header: header["thresholds"].update(CONVERGED=1.0))
     Simulator.load(path, device="cpu")
     (record,) = caplog.records
-    assert "other thresholds of the solver: CONVERGED; results differ" in record.getMessage()
+    assert "other thresholds: CONVERGED; results differ" in record.getMessage()
     path = with_header(saved, tmp_path / "older", lambda header: header.pop("thresholds"))
     Simulator.load(path, device="cpu")
     assert len(caplog.records) == 1

@@ -21,7 +21,7 @@ from tests.oracles import (
 )
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
+from warp_rigid.kernels.tuning import CONTACT_DISTANCE
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
 from warp_rigid.scenes.builders import assortment, meshes, stacks

@@ -1,4 +1,4 @@
-"""The thresholds of the solver: each is explained, and a kernel uses it."""
+"""The thresholds: each is explained, and a kernel uses it."""
 
 import re
 from pathlib import Path

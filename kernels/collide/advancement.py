@@ -10,9 +10,10 @@ and edges run along each other, such as cubes that fall one above the other.
 import warp as wp
 
 from warp_rigid.kernels.collide.convex import find_axis, gap_along, placed_solid, pose_of_solid
-from warp_rigid.kernels.collide.course import CLOSE_ENOUGH, DEPTH, Course, pose_in, solids_at
+from warp_rigid.kernels.collide.course import Course, pose_in, solids_at
 from warp_rigid.kernels.common.symmetry import rotation_after
 from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.tuning import ALLOWED_DEPTH, CLOSE_ENOUGH
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -85,7 +86,7 @@ def impact_of_solids(
     size: float,
     shapes: Shapes,
 ):
-    """Time from `begin` on at which two convex solids overlap by more than DEPTH sizes; `end` if they do not.
+    """Time from `begin` on at which two convex solids overlap by more than ALLOWED_DEPTH sizes; `end` if they do not.
 
     Solids that start the step closer than `near` are handled by the solver, and may overlap by as much more than then.
     `axis`: one along which they may have a gap at the start of the step, in the frame of the second body.
@@ -96,7 +97,7 @@ def impact_of_solids(
     n = find_axis(solids, shapes, axis, near)
     gap = gap_along(solids, shapes, n)
     at_end = gap_along(last, shapes, n)
-    allowed = wp.where(gap < near, near - wp.min(gap, 0.0), DEPTH * size)
+    allowed = wp.where(gap < near, near - wp.min(gap, 0.0), ALLOWED_DEPTH * size)
     found = gap + allowed
     t = begin
     if begin > 0.0:

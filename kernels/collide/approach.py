@@ -5,22 +5,9 @@ import warp as wp
 from warp_rigid.kernels.collide.contact_search import Search
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
+from warp_rigid.kernels.tuning import CONTACT_DISTANCE, NEAR_REACH, PUSHED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
-
-NEAR = wp.constant(0.25)
-"""Reach of contacts of fast bodies, and the largest speculative distance, as fractions of the smaller size."""
-
-PUSHED = wp.constant(0.5)
-"""The speculative distance is this fraction of the path of the faster body in the step: without restitution, two bodies
-of the same mass that collide share their velocity."""
-
-REUSE_TRAVEL = wp.constant(2.5e-4)
-"""Pairs that have moved less than this fraction of the smaller size, half the contact distance, keep their contacts."""
-
-TURNED_BACK = wp.constant(0.25)
-"""Separating samples closer than this fraction of the pair's reach are kept: they may come back within the step."""
 
 
 @wp.struct
@@ -120,7 +107,7 @@ def speculative_distance(a: int, b: int, size: float, dt: float, state: State, m
     if motions.role[a] == Role.ASLEEP or motions.role[b] == Role.ASLEEP:
         return 0.0
     speed = wp.max(surface_speed(a, state, motions), surface_speed(b, state, motions))
-    return wp.min(PUSHED * dt * speed, NEAR * size)
+    return wp.min(PUSHED * dt * speed, NEAR_REACH * size)
 
 
 @wp.func
@@ -134,7 +121,7 @@ def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions:
     """
     way = travel(a, b, dt, dt, state, motions)
     if way > size and motions.role[a] != Role.KINEMATIC and motions.role[b] != Role.KINEMATIC:
-        way = NEAR * size
+        way = NEAR_REACH * size
     return CONTACT_DISTANCE * size + wp.max(way, speculative_distance(a, b, size, dt, state, motions))
 
 

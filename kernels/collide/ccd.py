@@ -17,8 +17,6 @@ import warp as wp
 from warp_rigid.kernels.collide.advancement import impact_of_solids
 from warp_rigid.kernels.collide.convex import are_solid
 from warp_rigid.kernels.collide.course import (
-    DEPTH,
-    FAST,
     HOLDER,
     Course,
     common_motion,
@@ -50,6 +48,7 @@ from warp_rigid.kernels.common.symmetry import BALL, spin_of_surface, symmetry_o
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.tuning import ALLOWED_DEPTH, FAST_TRAVEL, LEFT_OF_DEPTH
 from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -62,18 +61,6 @@ rounds as bodies. A body in a hollow one, which lands, is hit several times. The
 of 4096 boxes that lands takes 9 on average, and sometimes more than the maximum. With 8 at most, its boxes overlap by
 48 mm instead of 20 mm, of 200 mm."""
 
-SETTLED = wp.constant(0.25)
-"""Fraction of the allowed depth by which a pair may get deeper without being traced again.
-
-After a trace, bodies get deeper than allowed by at most their relative motion after the impact that was found, and by
-the changes of their relative motion since. A pair is traced again when the sum of these bounds exceeds this fraction,
-so that the overlap stays below 1 + SETTLED times the allowed depth. Bodies between two others are hit by both in turn,
-and each hit changes their motion by a part of the last one: without this bound, most rounds change next to nothing.
-"""
-
-TURNS_OF_A_MECHANISM = wp.constant(2)
-"""Rounds for each mechanism of an environment: mechanisms that fall together stop one after the other, and each stop
-changes the motion of all bodies of a mechanism."""
 
 NEVER = wp.constant(wp.int64(2**62))
 """Value of `first_impact` without an impact; it is the time in units, times PAIR_NUMBERS, plus the pair otherwise."""
@@ -153,7 +140,7 @@ def change_of(b: int, course: Course, state: State):
 @wp.func
 def was_hit(a: int, b: int, first: Course, second: Course, size: float, dt: float, state: State):
     """Whether a body of a pair was hit in this step, so that it moves otherwise than the narrow phase expected."""
-    return relative_motion(change_of(a, first, state), change_of(b, second, state), dt) > DEPTH * size
+    return relative_motion(change_of(a, first, state), change_of(b, second, state), dt) > ALLOWED_DEPTH * size
 
 
 @wp.func
@@ -213,13 +200,13 @@ def list_fast_pairs(
             suspects.untraced[pair] += change
             if not is_followed(a, b, turn, envs.impact_rounds[bodies.env[a]], motions):
                 continue
-            if turn > 0 and suspects.untraced[pair] <= SETTLED * DEPTH * size:
+            if turn > 0 and suspects.untraced[pair] <= LEFT_OF_DEPTH * ALLOWED_DEPTH * size:
                 continue
             suspects.untraced[pair] = 0.0
             way = relative_motion(first, second, dt)
-            if way < DEPTH * size or not may_touch(shapes, first, second, dt):
+            if way < ALLOWED_DEPTH * size or not may_touch(shapes, first, second, dt):
                 continue
-            if turn == 0 and way <= FAST * size and not was_hit(a, b, first, second, size, dt, state):
+            if turn == 0 and way <= FAST_TRAVEL * size and not was_hit(a, b, first, second, size, dt, state):
                 continue
             if not stays_clear(first, second, pairs.axis[pair], dt, size, shapes):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
@@ -266,7 +253,7 @@ def note_impact(
     first, second = courses_of(pair, 0, bodies, state, motions, pairs)
     left = relative_motion(first, second, dt - t)
     wp.atomic_max(suspects.untraced, pair, left)
-    if suspects.round[0] > 0 and left <= SETTLED * DEPTH * traced_size(a, b, shapes, bodies):
+    if suspects.round[0] > 0 and left <= LEFT_OF_DEPTH * ALLOWED_DEPTH * traced_size(a, b, shapes, bodies):
         return
     impact = wp.int64(t / dt * UNITS_OF_TIME) * PAIR_NUMBERS + wp.int64(pair)
     first = onward_course(a, bodies, state, motions)

@@ -7,10 +7,10 @@ convex meshes, the first is that in which the load points, so that these topple 
 resolved in favour of the first sample, so that contact identities persist.
 
 The score of a sample is its extent in the direction, reduced by its gap times a weight; this corresponds to tilting the
-bodies by a small angle. In every other direction the weight is small (TIPPED, TURNING), so that the closest samples
-do not replace the corners onto which a fast body rotates. In the directions between, the weight is large for slow
-bodies (UPRIGHT_WEIGHT): a bumpy shape then keeps the samples that support it, and not those around its bumps, on which
-it would rock indefinitely.
+bodies by a small angle. In every other direction the weight is small (TIPPED_WEIGHT, TURNING_WEIGHT), so that the
+closest samples do not replace the corners onto which a fast body rotates. In the directions between, the weight is
+large for slow bodies (UPRIGHT_WEIGHT): a bumpy shape then keeps the samples that support it, and not those around its
+bumps, on which it would rock indefinitely.
 
 A team of lanes processes a pair. All lanes find the patch, and each lane updates its own slots.
 """
@@ -22,7 +22,19 @@ from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.common.tangents import tangent_of
 from warp_rigid.kernels.common.team import ballot, bits_below, sync_warp
 from warp_rigid.kernels.schema import EXTREME_DIRECTIONS, PATCH_SLOTS, PATCHES, Pairs, SlotRecord
-from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
+from warp_rigid.kernels.tuning import (
+    COMES_NEAR,
+    CONTACT_DISTANCE,
+    OPPOSING_NORMALS,
+    RANKED_GAP,
+    SAME_PATCH,
+    SLOPING,
+    TIE,
+    TIPPED_WEIGHT,
+    TRAVEL_WEIGHT,
+    TURNING_WEIGHT,
+    UPRIGHT_WEIGHT,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,43 +42,9 @@ DIRECTIONS = wp.constant(EXTREME_DIRECTIONS)
 SLOTS = wp.constant(PATCH_SLOTS)
 MOST_PATCHES = wp.constant(PATCHES)
 
-SAME_PATCH = wp.constant(0.94)
-"""Cosine (20 degrees) above which two contact normals belong to the same patch."""
-
-TIPPED = wp.constant(20.0)
-"""Reduction of a sample's extent per metre of gap: the sample touches first once the bodies have tilted by three
-degrees."""
-
-TURNING = wp.constant(5.0)
-"""The least value of it, for bodies that turn by a fifth of a radian or more in the step."""
-
-UPRIGHT_WEIGHT = wp.constant(200.0)
-"""The same for bodies at rest, in every other direction."""
-
-TRAVEL_WEIGHT = wp.constant(0.5)
-"""Weight between the two values above: this constant times the smaller size over the pair's travel in the step."""
-
-RANKED = wp.constant(0.02)
-"""Overlaps beyond this fraction of the smaller size count as equal. Otherwise the deepest sample of a deep overlap
-would replace those that support the body, which would then turn further in about a single contact. Gaps beyond it that
-close count as equal, too, where a body is a convex solid: it has few samples, and may turn onto each of its corners."""
-
-COMES_NEAR = wp.constant(0.5)
-"""A gap closes if less than this fraction of it is left after the step. If all gaps beyond RANKED counted as equal, the
-edge of a narrow tile beyond the end of a capsule would replace the contact that carries it."""
-
-TIE = wp.constant(1.0e-6)
-"""A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
-size, so that rounding errors have no effect."""
 
 FIRST_COSINE, FIRST_SINE = wp.constant(0.9), wp.constant(0.43588989)
 """Of the angle from the tangent to the first direction. Boxes have corners, and no edges, in the eight directions."""
-
-SLOPING = wp.constant(0.025)
-"""Share of a load along the contact from which it has a direction there: a slope of 1.4 degrees."""
-
-AGAINST = wp.constant(-0.8)
-"""Two contact normals with a cosine below this oppose each other."""
 
 
 @wp.struct
@@ -92,10 +70,10 @@ def ranking_of(way: float, turn: float, size: float, solid: bool):
     `solid`: whether one of the bodies is a convex solid.
     """
     result = Ranking()
-    result.upright = wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT_WEIGHT)
-    result.tipped = wp.clamp(1.0 / wp.max(turn, 1.0e-6), TURNING, TIPPED)
-    result.deepest = RANKED * size
-    result.furthest = wp.where(solid, RANKED * size, FAR)
+    result.upright = wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED_WEIGHT, UPRIGHT_WEIGHT)
+    result.tipped = wp.clamp(1.0 / wp.max(turn, 1.0e-6), TURNING_WEIGHT, TIPPED_WEIGHT)
+    result.deepest = RANKED_GAP * size
+    result.furthest = wp.where(solid, RANKED_GAP * size, FAR)
     return result
 
 
@@ -212,7 +190,7 @@ def contradictory(pair: int, pairs: Pairs):
     """Whether two patches of a pair have opposing normals."""
     for p in range(pairs.patch_count[pair]):
         for q in range(p):
-            if wp.dot(pairs.patch_normal[pair, p], pairs.patch_normal[pair, q]) < AGAINST:
+            if wp.dot(pairs.patch_normal[pair, p], pairs.patch_normal[pair, q]) < OPPOSING_NORMALS:
                 return True
     return False
 

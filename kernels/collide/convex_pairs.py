@@ -17,23 +17,10 @@ from warp_rigid.kernels.collide.convex import (
 from warp_rigid.kernels.collide.distance import BORDER, FAR
 from warp_rigid.kernels.common.team import sync_warp
 from warp_rigid.kernels.schema import Bodies, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.tuning import ALONG_AXIS, DEEP_OVERLAP, DOUBTFUL, TRUSTED
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
-
-DEEP = wp.constant(0.02)
-"""If convex solids overlap by more than this fraction of the smaller size along every normal of their samples, these
-are compared with the axis of least overlap."""
-
-DOUBTFUL = wp.constant(0.005)
-"""The same for samples that are less deep than the solids overlap along their normals."""
-
-ALONG = wp.constant(0.5)
-"""In a deep overlap, samples whose normal has a cosine with that axis below this value are dropped."""
-
-TRUSTED = wp.constant(1.25)
-"""In a deep overlap, samples deeper than this factor times the depth are dropped. Without one that is as deep as the
-depth divided by it, a contact along the axis is added."""
 
 
 @wp.func
@@ -61,7 +48,7 @@ def drop_untrusted(pair: int, axis: wp.vec3, depth: float, lane: int, lanes: int
     """Empty the slots of samples that do not point along the axis, or are deeper than the solids."""
     for slot in range(lane, pairs.patch_count[pair] * SLOTS, lanes):
         along = wp.dot(pairs.patch_normal[pair, slot / SLOTS], axis)
-        if along < ALONG or pairs.slots[pair, slot].gap < -TRUSTED * depth:
+        if along < ALONG_AXIS or pairs.slots[pair, slot].gap < -TRUSTED * depth:
             pairs.slots[pair, slot].place = -1
 
 
@@ -90,7 +77,7 @@ def check_by_axis(
             gap = along
             axis = pairs.patch_normal[pair, p]
     doubtful = gap < -DOUBTFUL * size and gap < TRUSTED * deepest_gap(pair, pairs)
-    doubtful = doubtful or gap < -DEEP * size or closing == 0 or contradictory(pair, pairs)
+    doubtful = doubtful or gap < -DEEP_OVERLAP * size or closing == 0 or contradictory(pair, pairs)
     if doubtful:
         axis = find_axis(solids, shapes, axis, 0.0)
         gap = gap_along(solids, shapes, axis)

@@ -8,30 +8,14 @@ in the step would otherwise move it into the kinematic body.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import NEAR
 from warp_rigid.kernels.collide.convex import are_solid, gap_along, solids_of_shapes
 from warp_rigid.kernels.common.symmetry import rotation_after
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Shapes, State
+from warp_rigid.kernels.tuning import ALLOWED_DEPTH, DEPTH_OF_CONTACTS, FAST_TRAVEL, NEAR_REACH
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-
-FAST = wp.constant(0.25)
-"""A pair is traced if its relative motion in a step exceeds this fraction of the smaller size."""
-
-DEPTH = wp.constant(0.02)
-"""Depth of penetration at which a body is stopped, as a fraction of the smaller size."""
-
-DEPTH_OF_CONTACTS = wp.constant(0.1)
-"""The same for touching bodies one of which is joined to others.
-
-They are left to the solver and the push-out. All bodies of a mechanism stop together; at a smaller depth, a heap of
-mechanisms that fold up would stop in nearly every step.
-"""
-
-CLOSE_ENOUGH = wp.constant(2.0e-3)
-"""A trace or an advancement ends when the remaining distance is below this fraction of the smaller size."""
 
 TURNING_ARM = wp.constant(0.5)
 """A rotation counts as the velocity at this fraction of the radius, which is close to the radius of gyration."""
@@ -228,7 +212,7 @@ def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: floa
 
     As in `gap_of` (ccd.py), this is tested in the middle and at the end of a motion below half the size.
     """
-    if wp.length_sq(axis) == 0.0 or relative_motion(own, other, dt) > 2.0 * FAST * size:
+    if wp.length_sq(axis) == 0.0 or relative_motion(own, other, dt) > 2.0 * FAST_TRAVEL * size:
         return False
     if not are_solid(own.shape, other.shape, shapes):
         return False
@@ -237,7 +221,7 @@ def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: floa
     while halves < 3:
         gap = gap_along(solids_at(own, other, 0.5 * float(halves) * dt, size, shapes), shapes, axis)
         if halves == 0:
-            allowed = wp.min(gap, 0.0) - DEPTH * size
+            allowed = wp.min(gap, 0.0) - ALLOWED_DEPTH * size
         elif gap < allowed:
             return False
         halves += 1
@@ -247,14 +231,14 @@ def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: floa
 @wp.func
 def handled_gap_of_solids(own: Course, other: Course, size: float, touching: bool):
     """`handled_gap` of two convex solids."""
-    return wp.where(touching and own.joined + other.joined > 0, DEPTH_OF_CONTACTS, DEPTH) * size
+    return wp.where(touching and own.joined + other.joined > 0, DEPTH_OF_CONTACTS, ALLOWED_DEPTH) * size
 
 
 @wp.func
 def handled_gap(own: Course, other: Course, dt: float, size: float, touching: bool, shapes: Shapes):
     """Samples of a body that start closer to the other are handled by the solver [m]; `touching`: it has contacts."""
-    if touching and shapes.shapes[other.shape].convex == 0 and relative_motion(own, other, dt) > FAST * size:
-        return NEAR * wp.min(size, shapes.shapes[other.shape].wall)
+    if touching and shapes.shapes[other.shape].convex == 0 and relative_motion(own, other, dt) > FAST_TRAVEL * size:
+        return NEAR_REACH * wp.min(size, shapes.shapes[other.shape].wall)
     return handled_gap_of_solids(own, other, size, touching)
 
 

@@ -6,12 +6,13 @@ bodies and the grids of meshes give cheap bounds of the distance.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import TURNED_BACK, Approach
+from warp_rigid.kernels.collide.approach import Approach
 from warp_rigid.kernels.collide.convex_pairs import border_of
 from warp_rigid.kernels.collide.distance import has_places, has_triangles, is_near_grid, is_nearer
 from warp_rigid.kernels.collide.edge_search import OVERLAP
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.tuning import TURNED_BACK
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 

@@ -15,7 +15,6 @@ not search contact points, as pairs would wait for the one that needs most dista
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import (
-    REUSE_TRAVEL,
     Approach,
     approach_from,
     smaller_approach,
@@ -39,6 +38,7 @@ from warp_rigid.kernels.common.team import (
     take_together,
 )
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.tuning import REUSE_TRAVEL
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})

@@ -12,14 +12,7 @@ own slots.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import (
-    REUSE_TRAVEL,
-    Touch,
-    load_between,
-    smaller_approach,
-    touch_of,
-    travel,
-)
+from warp_rigid.kernels.collide.approach import Touch, load_between, smaller_approach, touch_of, travel
 from warp_rigid.kernels.collide.contact_reduction import (
     Ranking,
     contradictory,
@@ -40,7 +33,8 @@ from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
+from warp_rigid.kernels.tuning import CONTACT_DISTANCE, REUSE_TRAVEL
+from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 

@@ -15,15 +15,12 @@ from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.near_samples import NearSamples
 from warp_rigid.kernels.common.team import ballot, broadcast_integer, lowest_bit, min_of_lanes
 from warp_rigid.kernels.schema import Bodies, Pairs, Shapes, State
+from warp_rigid.kernels.tuning import HIDDEN_DEPTH
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 CROSSED = wp.constant(2)
 """Value of NearSamples.closing of a sample that is no contact, but inside the other body."""
-
-HIDDEN = wp.constant(0.1)
-"""Depth from which such a sample shows that two bodies are crossed, as a fraction of the radius of the smaller one of
-their largest inner balls."""
 
 
 @wp.func
@@ -45,7 +42,7 @@ def hidden_depth(a: int, b: int, shapes: Shapes):
     first = shapes.balls[shapes.shapes[a].ball_start]
     second = shapes.balls[shapes.shapes[b].ball_start]
     radius = wp.min(first[3], second[3])
-    return wp.where(radius > 0.0, HIDDEN * radius, FAR)
+    return wp.where(radius > 0.0, HIDDEN_DEPTH * radius, FAR)
 
 
 @wp.func

@@ -29,6 +29,7 @@ from warp_rigid.kernels.collide.edge_search import (
 from warp_rigid.kernels.collide.slide import SLIDE_END, begin_slides, may_slide, next_slide, slide_next
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.tuning import RIM_FLAT, RIM_LEAN
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -48,14 +49,6 @@ RIM_CENTER = wp.constant(0)
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
 
-RIM_FLAT = wp.constant(5.0e-4)
-"""Sine of the tilt below which a rim has no deepest point. Rounding errors are a thousandth of it."""
-
-RIM_LEAN = wp.constant(0.02)
-"""A rim that lies flat touches where the load points, as if it were tilted by this times the load's share along it.
-
-At a tilt of twice this sine and more, as that of a cylinder that rolls, the load has no effect.
-"""
 
 POINT_AGAIN = wp.constant(1)
 

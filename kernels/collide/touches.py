@@ -6,15 +6,7 @@ and neighbouring threads do similar work.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import (
-    TURNED_BACK,
-    Approach,
-    Touch,
-    approach_from,
-    closing_gap,
-    touch_of,
-    velocity_at,
-)
+from warp_rigid.kernels.collide.approach import Approach, Touch, approach_from, closing_gap, touch_of, velocity_at
 from warp_rigid.kernels.collide.contact_search import Search, gradient
 from warp_rigid.kernels.collide.course import Course, closing_speed, curvature_of, place_at, placed_course
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
@@ -27,18 +19,11 @@ from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.symmetry import spin_of_surface
 from warp_rigid.kernels.enums import SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
+from warp_rigid.kernels.tuning import CLEARLY, CONTACT_DISTANCE, FURTHEST_PATH, SLOW_APPROACH, TURNED_BACK
+from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-CLEARLY = wp.constant(3.0)
-"""A sample clearly enters a face if it is deeper than this many contact distances."""
-
-FURTHEST = wp.constant(16.0)
-"""The path of a step is extended at most by this factor."""
-
-SLOW_APPROACH = wp.constant(0.01)
-"""Samples that approach by less than this many contact distances in a step touch without further tests."""
 
 PATH_DISTANCES = wp.constant(6)
 """Maximum number of distances along a path. They are enough for curved surfaces."""
@@ -196,7 +181,7 @@ def passes_by(
     fall = -wp.dot(way.step, placed.direction)
     steps = float(1.0)
     if fall >= SLOW_APPROACH * allowed:
-        steps = wp.clamp((gap + CLEARLY * allowed) / fall, 1.0, FURTHEST)
+        steps = wp.clamp((gap + CLEARLY * allowed) / fall, 1.0, FURTHEST_PATH)
         if gap - steps * fall > -allowed:
             return False
     elif material_fall < SLOW_APPROACH * allowed + dt * closing_speed(

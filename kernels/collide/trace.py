@@ -14,7 +14,7 @@ the time, and pairs have very different numbers of them.
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import gradient, slope
-from warp_rigid.kernels.collide.course import CLOSE_ENOUGH, DEPTH, FAST, Course, Passage, closing_speed, place_at
+from warp_rigid.kernels.collide.course import Course, Passage, closing_speed, place_at
 from warp_rigid.kernels.collide.culling import matters, out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import Suspects
@@ -22,6 +22,7 @@ from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.tuning import ALLOWED_DEPTH, CLOSE_ENOUGH, FAST_TRAVEL
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -204,7 +205,7 @@ def trace_edge(
     away = wp.length(own.center - other.center) + reach
     speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * reach + other_spin * away
     curve = wp.length_sq(own.angular) * reach + other_spin * (2.0 * speed + other_spin * away)
-    allowed = DEPTH * size
+    allowed = ALLOWED_DEPTH * size
     t = float(0.0)
     for round in range(TRACE_ROUNDS):
         low = place_at(own, other, arm - slide, t)
@@ -247,21 +248,21 @@ def path_length(own: Course, other: Course, arm: wp.vec3, passage: Passage):
 def gap_of(shapes: Shapes, shape: int, p: wp.vec3, radius: float, path: float, passage: Passage):
     """Distance of a sample from the other body at the start; FAR if the sample need not be traced.
 
-    This is so if it moves little and is not too deep at places of its path less than FAST sizes apart. Pairs that move
-    less than that in a step are not traced either.
+    This is so if it moves little and is not too deep at places of its path less than FAST_TRAVEL sizes apart. Pairs
+    that move less than that in a step are not traced either.
     """
     gap = float(FAR)
-    place = wp.where(path < 2.0 * FAST * passage.size, 2, 0)
+    place = wp.where(path < 2.0 * FAST_TRAVEL * passage.size, 2, 0)
     while place >= 0:
         pose = wp.where(place == 2, passage.end, wp.where(place == 1, passage.middle, passage.start))
-        near = wp.where(place == 0, radius + shapes.shapes[shape].cell, radius - DEPTH * passage.size)
+        near = wp.where(place == 0, radius + shapes.shapes[shape].cell, radius - ALLOWED_DEPTH * passage.size)
         d = signed_distance(shapes, shape, wp.transform_point(pose, p), near)
         gap = d[3] - radius
         if place == 0:
             place = -1
-        elif gap <= -DEPTH * passage.size:
+        elif gap <= -ALLOWED_DEPTH * passage.size:
             place = 0
-        elif place == 1 or path < FAST * passage.size:
+        elif place == 1 or path < FAST_TRAVEL * passage.size:
             return FAR
         else:
             place = 1
@@ -283,7 +284,7 @@ def is_traced_edge(s: int, other: Course, shapes: Shapes):
 @wp.func
 def handled_depth(s: int, near: float, size: float):
     """Samples that start closer than this are handled by the solver, and may penetrate as deep as this [m]."""
-    return wp.where(s >= 0, near, DEPTH * size)
+    return wp.where(s >= 0, near, ALLOWED_DEPTH * size)
 
 
 @wp.func
@@ -313,10 +314,10 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
             return suspect
     path = path_length(own, other, arm_of(own, p), passage)
     gap = gap_of(shapes, other.shape, p, radius, path, passage)
-    suspect.allowed = DEPTH * passage.size
+    suspect.allowed = ALLOWED_DEPTH * passage.size
     handled = handled_depth(s, passage.near, passage.size)
     if gap < handled:
-        suspect.allowed = wp.max(handled, DEPTH * passage.size - wp.min(gap, 0.0))
+        suspect.allowed = wp.max(handled, ALLOWED_DEPTH * passage.size - wp.min(gap, 0.0))
         suspect.begin = 0.0
     if gap + suspect.allowed > path:
         suspect.sample = CLEAR

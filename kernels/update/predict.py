@@ -14,12 +14,11 @@ from warp_rigid.kernels.schema import (
     SolverBodyRecord,
     State,
 )
+from warp_rigid.kernels.tuning import CONTACT_DISTANCE
 from warp_rigid.kernels.update.force_fields import field_acceleration
 
 wp.set_module_options({"enable_backward": False})
 
-CONTACT_DISTANCE = wp.constant(5.0e-4)
-"""Samples closer than this fraction of the smaller body's size count as touching."""
 
 LARGEST_COMPONENT = wp.constant(1.0e15)
 """Positions [m] and velocities [m/s, rad/s] from which products overflow in single precision; NaN is not below it."""

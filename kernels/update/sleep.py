@@ -29,18 +29,9 @@ from warp_rigid.kernels.schema import (
     SleepState,
     State,
 )
+from warp_rigid.kernels.tuning import SLEEP_DELAY, SLEEP_SPEED, SLEEP_TRAVEL
 
 wp.set_module_options({"enable_backward": False})
-
-
-SLEEP_SPEED = wp.constant(0.1)
-"""Speed below which a body counts as slow, in body sizes per second; also applies to the rotation of its surface."""
-
-SLEEP_TRAVEL = wp.constant(0.02)
-"""Displacement allowed for a body at rest, as a fraction of its size."""
-
-SLEEP_DELAY = wp.constant(0.5)
-"""Time for which a body must have been at rest to fall asleep [s]."""
 
 
 @wp.func

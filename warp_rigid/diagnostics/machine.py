@@ -59,7 +59,7 @@ def examine(devices: list[str] | None = None) -> dict[str, Any]:
         devices: names of Warp devices; None tests all.
 
     Returns:
-        Plain data: "versions", "devices", "caches", "checks", "thresholds" (those of the solver) and "ok".
+        Plain data: "versions", "devices", "caches", "checks", "thresholds" and "ok".
     """
     names = [str(device) for device in wp.get_devices()] if devices is None else devices
     checks = [*_libraries(), _cuda(), *_caches(), *(_device(name) for name in names)]

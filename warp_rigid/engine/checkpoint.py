@@ -78,11 +78,11 @@ def _thresholds() -> dict[str, float]:
 
 
 def _name_other_thresholds(stored: Any, path: Any) -> None:
-    """Log which thresholds of the solver a checkpoint has been written with other values of; older files have none."""
+    """Log which thresholds a checkpoint has been written with other values of; older files have none."""
     if isinstance(stored, dict):
         changed = [name for name, value in _thresholds().items() if stored.get(name) != value]
         if changed:
-            log.warning("%s: written with other thresholds of the solver: %s; results differ", path, listed(changed))
+            log.warning("%s: written with other thresholds: %s; results differ", path, listed(changed))
 
 
 def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:

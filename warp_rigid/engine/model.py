@@ -10,7 +10,7 @@ from warp_rigid.engine.layout import Layout, concatenated, exclusive_sums
 from warp_rigid.engine.moving_ground import build_surfaces
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
-from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels import declare, schema, tuning
 from warp_rigid.kernels.collide import ccd
 from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.body_columns import column, is_dynamic, shapes_of
@@ -142,7 +142,7 @@ def impact_rounds(scene: Scene) -> int:
     """Rounds of continuous collision detection in an environment."""
     mechanisms = joints.mechanisms_of(scene).members
     alone = int(is_dynamic(scene.bodies).sum()) - sum(map(len, mechanisms))
-    return min(max(alone + ccd.TURNS_OF_A_MECHANISM * len(mechanisms), ccd.FEWEST_TURNS), ccd.MOST_TURNS)
+    return min(max(alone + tuning.TURNS_OF_A_MECHANISM * len(mechanisms), ccd.FEWEST_TURNS), ccd.MOST_TURNS)
 
 
 def _out_of_bounds(scene: Scene) -> OutOfBounds:
