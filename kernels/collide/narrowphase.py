@@ -95,13 +95,11 @@ def may_be_pushed_together(
 def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pairs, near: NearSamples):
     """List the samples of the last step's contacts, and keep the data of the search that found them.
 
-    If they do not fit, the contacts do not fit either, and the step is void.
+    There is room for them, as for the contacts of the last step.
     """
     start = history.contact_start[last]
     count = history.contact_start[last + 1] - start
     begin = near.next.shape[0] + take_together(near.count, KEPT, count)
-    if begin + count > near.key.shape[0]:
-        count = 0
     for k in range(count):
         key = history.key[start + k]
         near.pair[begin + k] = pair

@@ -264,13 +264,12 @@ def touch_near_samples(
 ):
     """The threads share the near samples of a round: find their contact points. Record the number of samples.
 
-    If there are more than fit, the step is void, and no sample touches.
+    If there are more of searched pairs than fit, the step is void, and none of them touches.
     """
     own = claim(wp.tid(), sharing)
     count = usable_count(own, which, near.count[0], near.next.shape[0], turn, wanted)
     searched = wp.max(count - near.begin[0], 0)
-    usable = wp.min(near.count[KEPT], near.key.shape[0] - near.next.shape[0])
-    rows = rows_of(own, searched + usable - near.begin[KEPT], sharing)
+    rows = rows_of(own, searched + near.count[KEPT] - near.begin[KEPT], sharing)
     for row in range(rows.first, rows.end, rows.stride):
         k = near.begin[0] + row
         if row >= searched:

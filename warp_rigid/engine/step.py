@@ -508,7 +508,7 @@ class Stages:
         pools, pairs, near = self.pools, self.pools.pairs, self.pools.near
         searched = [*self.moving, self.envs]
         pairs.candidate_count.zero_()
-        if self.sleeping:  # the first of two rounds
+        if self.sleeping:  # there is a second round, whose samples follow those of the first
             wp.copy(near.begin, near.count)
         size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.search.listing
         with self.parts.shared():
