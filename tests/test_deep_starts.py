@@ -123,7 +123,6 @@ def test_no_walls_that_cross_at_the_start_stay_crossed(device, name):
     assert np.abs(sim.get("linear_velocity")).max() < 1e-3
 
 
-@pytest.mark.xfail(strict=True, reason="contacts do not see overlaps between the samples of a rim: up to 4.4 mm")
 @pytest.mark.long
 @pytest.mark.parametrize("second", ["boxes", "corner", "tray"])
 def test_a_disc_that_starts_in_arms_or_walls_comes_apart(device, second):

@@ -12,6 +12,9 @@ FLAT = wp.constant(0.01)
 CURVED = wp.constant(1.0e-3)
 """A distance that lies above its tangents by more than this fraction of the interval counts as curved, not kinked."""
 
+ROUNDED_OFF = wp.constant(1.0e-3)
+"""Tangents that meet outside of their interval by less than this fraction of it meet at its end."""
+
 DONE = wp.constant(-1)
 
 
@@ -77,12 +80,19 @@ def look_at(search: Search, t: float):
 
 @wp.func
 def next_inside(search: Search, curved: bool):
-    """Evaluate next where the tangents at both ends meet or, for a curved distance, where the slope becomes zero."""
+    """Evaluate next where the tangents at both ends meet or, for a curved distance, where the slope becomes zero.
+
+    If they meet outside, or only the distances at the ends show that there is a minimum, in the middle.
+    """
     bend = wp.max(search.slope_high - search.slope_low, 1.0e-6)
+    width = search.right - search.left
     rise = search.slope_high * search.right - search.slope_low * search.left
     t = (search.low[3] - search.high[3] + rise) / bend
     if curved:
-        t = search.left - search.slope_low * (search.right - search.left) / bend
+        t = search.left - search.slope_low * width / bend
+    outside = t < search.left - ROUNDED_OFF * width or t > search.right + ROUNDED_OFF * width
+    if outside or search.slope_low > FLAT or search.slope_high < -FLAT:
+        t = 0.5 * (search.left + search.right)
     return look_at(search, wp.clamp(t, search.left, search.right))
 
 
@@ -95,8 +105,16 @@ def is_curved(search: Search, d: wp.vec4):
 
 @wp.func
 def replace_end(search: Search, d: wp.vec4, turning: float):
-    """Replace the end on the side of the present point, by whether the slope there is below `turning`."""
-    if slope(d, search.along) < turning:
+    """Replace the end on the side of the present point, by whether the slope there is below `turning`.
+
+    If the distance falls beyond the other end, the present point may replace this one, by the distances at both.
+    """
+    falls = slope(d, search.along) < turning
+    if falls and search.slope_high < -FLAT:
+        falls = d[3] < search.low[3]
+    elif not falls and search.slope_low > FLAT:
+        falls = d[3] > search.high[3]
+    if falls:
         search.left = search.t
         search.low = d
         search.slope_low = slope(d, search.along)
@@ -105,6 +123,20 @@ def replace_end(search: Search, d: wp.vec4, turning: float):
         search.high = d
         search.slope_high = slope(d, search.along)
     return search
+
+
+@wp.func
+def narrowed(search: Search, d: wp.vec4, turning: float):
+    """Replace an end by the present point, whose distance is d, and evaluate next inside the smaller interval.
+
+    If the distance is curved, that is where its slope reaches zero if it changes evenly. Where the slope of the end has
+    not halved, the distance has a kink as well, such as an edge's that leaves the side of a cylinder for its cap.
+    """
+    now = slope(d, search.along)
+    end = wp.where(now < turning, search.slope_low, search.slope_high)
+    halved = 2.0 * wp.abs(now - turning) <= wp.abs(end - turning)
+    curved = is_curved(search, d)
+    return next_inside(replace_end(search, d, turning), curved and halved)
 
 
 @wp.func

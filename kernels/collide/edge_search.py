@@ -8,11 +8,10 @@ from warp_rigid.kernels.collide.contact_search import (
     Search,
     cross_faces,
     gradient,
-    is_curved,
     look_at,
+    narrowed,
     next_inside,
     nowhere,
-    replace_end,
     slope,
 )
 from warp_rigid.kernels.collide.distance import BORDER
@@ -75,19 +74,47 @@ def edge_again(search: Search):
 
 
 @wp.func
-def edge_has_ends(search: Search, d: wp.vec4):
+def has_minimum(low: wp.vec4, high: wp.vec4, along: wp.vec3):
+    """Whether the distance has a minimum between two points of an edge, or the edge leaves a face there."""
+    first = slope(low, along)
+    last = slope(high, along)
+    falls = first <= FLAT or (last > FLAT and low[3] > high[3])
+    rises = last >= -FLAT or (first < -FLAT and high[3] > low[3])
+    return falls and rises and wp.abs(last - first) >= 2.0 * FLAT
+
+
+@wp.func
+def to_half(search: Search, middle: wp.vec4):
+    """Limit the search to a half of the edge with a minimum, unless its middle lies flat.
+
+    If both have one, as where an edge lies across two bumps, to that whose end is nearer.
+    """
+    if search.left >= 0.0 or search.right <= 0.0 or wp.abs(slope(middle, search.along)) <= FLAT:
+        return search
+    first = has_minimum(search.low, middle, search.along)
+    last = has_minimum(middle, search.high, search.along)
+    if first and (search.low[3] < search.high[3] or not last):
+        search.right = 0.0
+        search.high = middle
+    else:
+        search.left = 0.0
+        search.low = middle
+    return search
+
+
+@wp.func
+def edge_has_ends(search: Search):
     """With both ends known, test whether the distance has an inner minimum or the edge leaves a face."""
-    search.high = d
-    search.slope_high = slope(d, search.along)
-    search.slope_low = slope(search.low, search.along)
-    low = search.slope_low
-    high = search.slope_high
-    if low > FLAT or high < -FLAT or high - low < 2.0 * FLAT:
+    if not has_minimum(search.low, search.high, search.along):
         return nowhere(search)
-    search.turning = 0.5 * (wp.min(low + FLAT, 0.0) + wp.max(high - FLAT, 0.0))
-    if low < -STEEP and high > STEEP:
-        search.turning = 0.0
-        search.crossing = 1
+    search.slope_low = slope(search.low, search.along)
+    search.slope_high = slope(search.high, search.along)
+    search.crossing = wp.where(search.slope_low < -STEEP and search.slope_high > STEEP, 1, 0)
+    search.turning = 0.0
+    if wp.abs(search.slope_high) <= FLAT:
+        search.turning = -2.0 * FLAT
+    elif wp.abs(search.slope_low) <= FLAT:
+        search.turning = 2.0 * FLAT
     search.stage = EDGE_INSIDE
     return next_inside(search, False)
 
@@ -113,7 +140,7 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
         search.start = search.query
         search.stage = BALL_CENTER
         return search
-    if search.crossing == 1 and convex == 1:
+    if search.crossing == 1:
         search.stage = EDGE_BEFORE
         search.query = search.start + (search.t - ASIDE * search.half) * search.along
         return search
@@ -153,9 +180,8 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     if search.stage == EDGE_CLAMPED:
         return edge_found(search, radius, convex, weight)
     before = search.t
-    curved = is_curved(search, d)
-    search = replace_end(search, d, search.turning)
-    after = next_inside(search, curved)
+    after = narrowed(search, d, search.turning)
+    search = look_at(after, before)
     if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > EDGE_FOUND * search.half:
         after.stage = search.stage + 1
         return after
@@ -180,6 +206,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
     if search.stage == EDGE_MIDDLE:
         if d[3] > OVERLAP * search.half + reach + radius:
             return nowhere(search)
+        search.before = d
         search.stage = EDGE_LOW
         return look_at(search, search.left)
     if search.stage == EDGE_LOW:
@@ -187,8 +214,11 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         search.stage = EDGE_HIGH
         return look_at(search, search.right)
     if search.stage == EDGE_HIGH:
+        search.high = d
         deepest = wp.where(d[3] < search.low[3], d, search.low)
-        search = edge_has_ends(search, d)
+        if convex == 0 and wp.length_sq(search.facing) == 0.0:
+            search = to_half(search, search.before)
+        search = edge_has_ends(search)
         if search.stage == DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
             return edge_again(search)
         if search.stage == EDGE_INSIDE and stays_above(search, reach + radius, convex):

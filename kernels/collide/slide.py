@@ -13,10 +13,8 @@ from warp_rigid.kernels.collide.contact_search import (
     Search,
     cross_faces,
     gradient,
-    is_curved,
     look_at,
-    next_inside,
-    replace_end,
+    narrowed,
     slope,
 )
 from warp_rigid.kernels.collide.distance import FAR
@@ -78,6 +76,7 @@ def next_slide(search: Search, s: int, turn: wp.quat, shapes: Shapes):
     search.left = 0.0
     search.low = search.before
     search.slope_low = -steepest / length
+    search.slope_high = 0.0
     return look_at(search, NEARER_HALF * length)
 
 
@@ -97,15 +96,13 @@ def slide_next(search: Search, d: wp.vec4, size: float):
     """The least distance on the nearer half of an edge; none if the distance falls further on."""
     if search.stage == SLIDE_END and slope(d, search.along) < FLAT:
         return end_slide(search)
-    curved = search.stage > SLIDE_END and is_curved(search, d)
     if d[3] < search.distance:
         search.distance = d[3]
         search.direction = gradient(d)
         search.way = search.query
-    search = replace_end(search, d, 0.0)
-    after = next_inside(search, curved)
-    bound = search.low[3] + search.slope_low * (after.t - search.left)
+    search = narrowed(search, d, 0.0)
+    bound = search.low[3] + search.slope_low * (search.t - search.left)
     if search.stage == SLIDE_LAST or bound > search.distance - ENOUGH * size:
         return end_slide(search)
-    after.stage = search.stage + 1
-    return after
+    search.stage += 1
+    return search

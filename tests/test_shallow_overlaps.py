@@ -1,0 +1,61 @@
+"""Bodies that overlap slightly, in random poses: one of their contacts shows the overlap."""
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from tests.test_deep_starts import SHAPES
+
+
+def slightly_overlapping(device, first, second, count):
+    """Pairs in random poses that overlap by 0.2 to 4 mm, by a measure apart from contacts, and these overlaps [m].
+
+    The second body comes from a random direction, at a random distance from the middle, until it overlaps enough.
+    """
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_body(first)
+    scene.add_body(second)
+    sim = wr.Simulator(scene, count, device=device)
+    generator = np.random.default_rng(0)
+    turns = generator.normal(size=(count, 2, 4))
+    sim.set("orientation", turns / np.linalg.norm(turns, axis=2, keepdims=True))
+    way = generator.normal(size=(count, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    aside = 0.3 * min(first.size, second.size) * generator.normal(size=(count, 3))
+    aside -= np.sum(aside * way, axis=1, keepdims=True) * way
+    wanted = generator.uniform(3e-4, 3e-3, count)
+    near, far = np.zeros(count), np.full(count, 1.2 * (first.size + second.size))
+    for _ in range(14):
+        middle = 0.5 * (near + far)
+        sim.set("position", np.stack([np.zeros((count, 3)), aside + middle[:, None] * way], axis=1))
+        deep = sim.penetration() > wanted
+        near, far = np.where(deep, middle, near), np.where(deep, far, middle)
+    sim.set("position", np.stack([np.zeros((count, 3)), aside + far[:, None] * way], axis=1))
+    return sim, sim.penetration()
+
+
+def depths_of_contacts(sim, count):
+    """The deepest contact of each environment, 0 without any [m]."""
+    sim.step()
+    contacts = sim.contacts()
+    deepest = np.zeros(count)
+    np.maximum.at(deepest, contacts["env"], contacts["depth"])
+    return deepest
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("box", "open ring"), ("boxes", "ball"), ("boxes", "corner"), ("cube", "bunny"), ("disc", "corner")]
+    + [
+        pytest.param(*names, marks=pytest.mark.long)
+        for names in [("box", "box"), ("box", "boxes"), ("rod", "tray"), ("corner", "corner"), ("tray", "cube")]
+    ],
+)
+def test_a_contact_shows_the_overlap_of_two_bodies(device, first, second):
+    """Edges that cross a curved or bumpy surface, and each other, included."""
+    count = 400
+    sim, overlaps = slightly_overlapping(device, SHAPES[first], SHAPES[second], count)
+    measured = (overlaps > 2e-4) & (overlaps < 4e-3)
+    assert measured.sum() > 0.3 * count
+    shown = depths_of_contacts(sim, count)
+    assert np.min(shown[measured] / overlaps[measured]) > 0.5
