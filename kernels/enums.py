@@ -44,13 +44,15 @@ class SampleKind(IntEnum):
     EDGE = 1
     """A segment of an edge; the contact point is searched for along it."""
     RIM = 2
-    """A circle; the contact point is searched for around it."""
+    """A circle; the contact point with a convex shape is searched for around it."""
     FACE = 3
     """A point inside a face, for contacts with nonconvex shapes."""
     CAP = 4
     """A point on the rim of a cylinder's cap, used when the cap lies flat; RIM is used when it is tilted."""
     CORNER = 5
-    """Kind of a cluster: further places where balls and rims touch a mesh, which in an inner corner are several."""
+    """Kind of a cluster: further places where balls touch a mesh, which in an inner corner are several."""
+    ARC = 6
+    """A piece of a circle; the contact point with a nonconvex shape is searched for along it."""
 
 
 class FieldKind(IntEnum):

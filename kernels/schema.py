@@ -48,6 +48,9 @@ PATCH_SLOTS = EXTREME_DIRECTIONS + 1
 BALL_PLACES = 4
 """Maximum number of places where a ball touches a mesh at the same time."""
 
+RIM_ARCS = 16
+"""Number of arcs of a cylinder's rim, whose contact points with nonconvex shapes are searched for one by one."""
+
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples kept for each pair before duplicates are removed."""
 

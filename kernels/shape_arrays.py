@@ -58,13 +58,15 @@ ClusterRecord = record(
 
 SampleRecord = record(
     "SampleRecord",
-    "A surface point, edge segment or rim that is tested against other bodies.",
+    "A surface point, edge segment, rim or arc of a rim that is tested against other bodies.",
     point=Field(wp.vec3, "", "m", "position in the shape's frame"),
     normal=Field(wp.vec3, "", "", "outward unit normal; zero for the centre of a sphere"),
-    slide=Field(wp.vec3, "", "m", "half of the edge segment, from its middle to its end; zero for other samples"),
+    slide=Field(
+        wp.vec3, "", "m", "half of an edge segment, from its middle to its end, or of an arc along it; zero for others"
+    ),
     radius=Field(float, "", "m", "radius of a sphere around the sample, or of a rim"),
     kind=Field(int, "", "", "a SampleKind"),
-    choice=Field(int, "", "", "of a ball or rim on a mesh: the place that it stands for, from 1; 0: the nearest place"),
+    choice=Field(int, "", "", "of a ball on a mesh: the place that it stands for, from 1; 0: the nearest place"),
     edge_start=Field(int, "", "", "first unsampled edge at a point of a mesh"),
     edge_end=Field(int, "", "", "one past the last"),
 )

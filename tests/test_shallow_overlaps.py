@@ -43,19 +43,25 @@ def depths_of_contacts(sim, count):
     return deepest
 
 
+NONE_MISSED = [("box", "open ring"), ("boxes", "ball"), ("boxes", "corner"), ("cube", "bunny"), ("disc", "boxes")]
+SELDOM_MISSED = [("disc", "torus", 6), ("disc", "bunny", 8), ("box", "bunny", 14)]
+SLOWER = [("box", "box"), ("box", "boxes"), ("rod", "tray"), ("corner", "corner"), ("tray", "cube"), ("disc", "ball")]
+
+
 @pytest.mark.parametrize(
-    ("first", "second"),
-    [("box", "open ring"), ("boxes", "ball"), ("boxes", "corner"), ("cube", "bunny"), ("disc", "corner")]
-    + [
-        pytest.param(*names, marks=pytest.mark.long)
-        for names in [("box", "box"), ("box", "boxes"), ("rod", "tray"), ("corner", "corner"), ("tray", "cube")]
-    ],
+    ("first", "second", "missed"),
+    [(*names, 0) for names in NONE_MISSED]
+    + SELDOM_MISSED
+    + [pytest.param(*names, 0, marks=pytest.mark.long) for names in SLOWER],
 )
-def test_a_contact_shows_the_overlap_of_two_bodies(device, first, second):
-    """Edges that cross a curved or bumpy surface, and each other, included."""
+def test_a_contact_shows_the_overlap_of_two_bodies(device, first, second, missed):
+    """Edges and rims that cross a curved or bumpy surface, and each other, included.
+
+    A segment of an edge or a rim has one contact: of several bumps below it, one may be missed.
+    """
     count = 400
     sim, overlaps = slightly_overlapping(device, SHAPES[first], SHAPES[second], count)
     measured = (overlaps > 2e-4) & (overlaps < 4e-3)
     assert measured.sum() > 0.3 * count
     shown = depths_of_contacts(sim, count)
-    assert np.min(shown[measured] / overlaps[measured]) > 0.5
+    assert np.sum(shown[measured] < 0.5 * overlaps[measured]) <= missed

@@ -12,7 +12,7 @@ from warp_rigid.scene.shapes.tessellation import geodesic
 from warp_rigid.scenes.builders import meshes
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-POINT, EDGE, RIM, FACE, CAP, CORNER = SampleKind
+POINT, EDGE, RIM, FACE, CAP, CORNER, ARC = SampleKind
 PLACES = 4
 
 
@@ -61,9 +61,9 @@ def test_arrays_fit_together_and_clusters_hold_their_samples(name):
     assert samples.cluster_start[0] == 0 and samples.cluster_start[-1] == count
     sizes = np.diff(samples.cluster_start)
     assert clusters == len(sizes) and 1 <= sizes.min() and sizes.max() <= 32
-    further = np.where(samples.choice > 1, CORNER, samples.kind)  # places of balls and rims on meshes, apart
+    further = np.where(samples.choice > 1, CORNER, samples.kind)  # places of balls on meshes, apart
     first = further[samples.cluster_start[:-1]]
-    for family in ((POINT, RIM, CAP), (EDGE,), (FACE,), (CORNER,)):
+    for family in ((POINT, RIM, CAP), (EDGE,), (FACE,), (ARC,), (CORNER,)):
         members = np.isin(further, family)
         assert np.isin(first, family).sum() == -(-members.sum() // 32)
         assert (np.isin(np.repeat(first, sizes), family) == members).all()
@@ -144,7 +144,7 @@ def test_long_edges_of_a_box_have_short_segments():
 def test_cylinder_rims_points_and_sides(shape):
     samples = shape.samples()
     rim = samples.kind == RIM
-    assert rim.sum() == 2 * PLACES
+    assert rim.sum() == 2
     np.testing.assert_allclose(samples.radius[rim], shape.radius)
     np.testing.assert_allclose(samples.point[rim], samples.normal[rim] * shape.half_height, atol=1e-6)
     from_axis = np.linalg.norm(samples.point[:, :2], axis=1)
@@ -152,6 +152,14 @@ def test_cylinder_rims_points_and_sides(shape):
     assert corner.sum() == 32
     expected = samples.point[corner] * [0.0, 0.0, 1 / shape.half_height]
     np.testing.assert_allclose(samples.normal[corner], expected, atol=1e-5)
+    # arcs about these points, all around, as long as a sixteenth of the circle
+    arc = samples.kind == ARC
+    points = samples.point[arc]
+    np.testing.assert_array_equal(np.unique(points, axis=0), np.unique(samples.point[corner], axis=0))
+    outward = points * [1.0 / shape.radius, 1.0 / shape.radius, 0.0]
+    cap = points * [0.0, 0.0, 1.0 / shape.half_height]
+    np.testing.assert_allclose(samples.normal[arc], np.sqrt(0.5) * (outward + cap), atol=1e-6)
+    np.testing.assert_allclose(samples.slide[arc], np.pi / 16 * shape.radius * np.cross(outward, cap), atol=1e-6)
     # nothing that a sample reaches sticks out, and the side's middle is reached all around
     edge = samples.kind == EDGE
     for sign in (-1.0, 0.0, 1.0):
@@ -206,7 +214,7 @@ def test_compound_drops_what_is_hidden_and_keeps_the_rest():
 def test_compound_samples_turn_with_their_child():
     turn = (0.5, 0.5, 0.5, 0.5)  # x to y, y to z, z to x
     samples = Compound([(Cylinder(0.2, 0.5), (1, 2, 3), turn)]).samples()
-    rim = (samples.kind == RIM) & (samples.choice == 1)
+    rim = samples.kind == RIM
     np.testing.assert_allclose(np.sort(samples.point[rim], axis=0), [[0.5, 2, 3], [1.5, 2, 3]])
     np.testing.assert_allclose(np.abs(samples.normal[rim]), [[1, 0, 0], [1, 0, 0]], atol=1e-6)
 

@@ -3,6 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.tuning import RIM_FLAT
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -22,7 +23,8 @@ DONE = wp.constant(-1)
 class Search:
     """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
 
-    `least`: the least distance so far, at most 0.
+    `least`: the least distance so far, at most 0. `along`: direction of an edge, at its middle if it is an arc; then
+    `bend` is its curvature [1/m], else 0, and `outward` the direction from the centre of the arc to its middle.
     """
 
     stage: int
@@ -34,6 +36,8 @@ class Search:
     distance: float
     start: wp.vec3
     along: wp.vec3
+    bend: float
+    outward: wp.vec3
     half: float
     first: float
     last: float
@@ -71,10 +75,35 @@ def nowhere(search: Search):
 
 
 @wp.func
+def place_on(search: Search, t: float):
+    """The point at parameter t of the edge or arc."""
+    if search.bend == 0.0:
+        return search.start + t * search.along
+    turn = search.bend * t
+    aside = wp.sin(0.5 * turn)
+    return search.start + (wp.sin(turn) * search.along - 2.0 * aside * aside * search.outward) / search.bend
+
+
+@wp.func
+def slope_at(search: Search, t: float, d: wp.vec4):
+    """Slope along the edge or arc of the distance d at parameter t."""
+    if search.bend == 0.0:
+        return slope(d, search.along)
+    turn = search.bend * t
+    return slope(d, wp.cos(turn) * search.along - wp.sin(turn) * search.outward)
+
+
+@wp.func
+def flat_slope(search: Search):
+    """Slope of the distance below which an edge or arc lies flat."""
+    return wp.where(search.bend > 0.0, RIM_FLAT, FLAT)
+
+
+@wp.func
 def look_at(search: Search, t: float):
     """Evaluate the distance next at parameter t of the edge."""
     search.t = t
-    search.query = search.start + t * search.along
+    search.query = place_on(search, t)
     return search
 
 
@@ -91,7 +120,8 @@ def next_inside(search: Search, curved: bool):
     if curved:
         t = search.left - search.slope_low * width / bend
     outside = t < search.left - ROUNDED_OFF * width or t > search.right + ROUNDED_OFF * width
-    if outside or search.slope_low > FLAT or search.slope_high < -FLAT:
+    flat = flat_slope(search)
+    if outside or search.slope_low > flat or search.slope_high < -flat:
         t = 0.5 * (search.left + search.right)
     return look_at(search, wp.clamp(t, search.left, search.right))
 
@@ -109,19 +139,21 @@ def replace_end(search: Search, d: wp.vec4, turning: float):
 
     If the distance falls beyond the other end, the present point may replace this one, by the distances at both.
     """
-    falls = slope(d, search.along) < turning
-    if falls and search.slope_high < -FLAT:
+    now = slope_at(search, search.t, d)
+    flat = flat_slope(search)
+    falls = now < turning
+    if falls and search.slope_high < -flat:
         falls = d[3] < search.low[3]
-    elif not falls and search.slope_low > FLAT:
+    elif not falls and search.slope_low > flat:
         falls = d[3] > search.high[3]
     if falls:
         search.left = search.t
         search.low = d
-        search.slope_low = slope(d, search.along)
+        search.slope_low = now
     else:
         search.right = search.t
         search.high = d
-        search.slope_high = slope(d, search.along)
+        search.slope_high = now
     return search
 
 
@@ -132,7 +164,7 @@ def narrowed(search: Search, d: wp.vec4, turning: float):
     If the distance is curved, that is where its slope reaches zero if it changes evenly. Where the slope of the end has
     not halved, the distance has a kink as well, such as an edge's that leaves the side of a cylinder for its cap.
     """
-    now = slope(d, search.along)
+    now = slope_at(search, search.t, d)
     end = wp.where(now < turning, search.slope_low, search.slope_high)
     halved = 2.0 * wp.abs(now - turning) <= wp.abs(end - turning)
     curved = is_curved(search, d)

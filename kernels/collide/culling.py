@@ -29,6 +29,8 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     """
     if kind == SampleKind.CORNER:
         return has_places(shapes, shape)
+    if kind == SampleKind.ARC:
+        return shapes.shapes[shape].convex == 0
     if shapes.shapes[shape].convex == 0:
         return kind != SampleKind.EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind
@@ -109,12 +111,15 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
 
     The distance to a mesh is slow, so bounds from its grid are tested, too.
     """
+    kind = shapes.samples[s].kind
+    if kind == SampleKind.RIM and shapes.shapes[approach.shape].convex == 0:
+        return False
     lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
     if lowest - shapes.samples[s].radius > approach.level:
         return False
     p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
     margin = approach.searched + shapes.samples[s].radius
-    if shapes.samples[s].kind == SampleKind.EDGE:
+    if kind == SampleKind.EDGE or kind == SampleKind.ARC:
         slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
         margin += border_of(approach.own_shape, approach.shape, shapes)
         if not segment_meets_box(p, slide, margin, approach.shape, shapes):

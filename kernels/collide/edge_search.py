@@ -1,18 +1,19 @@
-"""Contact point search along the segment of an edge."""
+"""Contact point search along the segment of an edge, or along an arc of a rim."""
 
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import (
     DONE,
-    FLAT,
     Search,
     cross_faces,
+    flat_slope,
     gradient,
     look_at,
     narrowed,
     next_inside,
     nowhere,
-    slope,
+    place_on,
+    slope_at,
 )
 from warp_rigid.kernels.collide.distance import BORDER
 
@@ -74,13 +75,14 @@ def edge_again(search: Search):
 
 
 @wp.func
-def has_minimum(low: wp.vec4, high: wp.vec4, along: wp.vec3):
-    """Whether the distance has a minimum between two points of an edge, or the edge leaves a face there."""
-    first = slope(low, along)
-    last = slope(high, along)
-    falls = first <= FLAT or (last > FLAT and low[3] > high[3])
-    rises = last >= -FLAT or (first < -FLAT and high[3] > low[3])
-    return falls and rises and wp.abs(last - first) >= 2.0 * FLAT
+def has_minimum(first: float, last: float, low: float, high: float, flat: float):
+    """Whether a distance has a minimum between two points, or is flat at one and not at the other.
+
+    From its slopes at the first and the last point, the distances there, and the slope that counts as flat.
+    """
+    falls = first <= flat or (last > flat and low > high)
+    rises = last >= -flat or (first < -flat and high > low)
+    return falls and rises and wp.abs(last - first) >= 2.0 * flat
 
 
 @wp.func
@@ -89,32 +91,39 @@ def to_half(search: Search, middle: wp.vec4):
 
     If both have one, as where an edge lies across two bumps, to that whose end is nearer.
     """
-    if search.left >= 0.0 or search.right <= 0.0 or wp.abs(slope(middle, search.along)) <= FLAT:
+    flat = flat_slope(search)
+    now = slope_at(search, 0.0, middle)
+    if search.left >= 0.0 or search.right <= 0.0 or wp.abs(now) <= flat:
         return search
-    first = has_minimum(search.low, middle, search.along)
-    last = has_minimum(middle, search.high, search.along)
+    first = has_minimum(search.slope_low, now, search.low[3], middle[3], flat)
+    last = has_minimum(now, search.slope_high, middle[3], search.high[3], flat)
     if first and (search.low[3] < search.high[3] or not last):
         search.right = 0.0
         search.high = middle
+        search.slope_high = now
     else:
         search.left = 0.0
         search.low = middle
+        search.slope_low = now
     return search
 
 
 @wp.func
-def edge_has_ends(search: Search):
+def edge_has_ends(search: Search, convex: int):
     """With both ends known, test whether the distance has an inner minimum or the edge leaves a face."""
-    if not has_minimum(search.low, search.high, search.along):
+    search.slope_low = slope_at(search, search.left, search.low)
+    search.slope_high = slope_at(search, search.right, search.high)
+    if convex == 0 and wp.length_sq(search.facing) == 0.0:
+        search = to_half(search, search.before)
+    flat = flat_slope(search)
+    if not has_minimum(search.slope_low, search.slope_high, search.low[3], search.high[3], flat):
         return nowhere(search)
-    search.slope_low = slope(search.low, search.along)
-    search.slope_high = slope(search.high, search.along)
     search.crossing = wp.where(search.slope_low < -STEEP and search.slope_high > STEEP, 1, 0)
     search.turning = 0.0
-    if wp.abs(search.slope_high) <= FLAT:
-        search.turning = -2.0 * FLAT
-    elif wp.abs(search.slope_low) <= FLAT:
-        search.turning = 2.0 * FLAT
+    if wp.abs(search.slope_high) <= flat:
+        search.turning = -2.0 * flat
+    elif wp.abs(search.slope_low) <= flat:
+        search.turning = 2.0 * flat
     search.stage = EDGE_INSIDE
     return next_inside(search, False)
 
@@ -142,7 +151,7 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
         return search
     if search.crossing == 1:
         search.stage = EDGE_BEFORE
-        search.query = search.start + (search.t - ASIDE * search.half) * search.along
+        search.query = place_on(search, search.t - ASIDE * search.half)
         return search
     search.facing = weight * search.normal
     search.distance -= radius
@@ -156,19 +165,21 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
 
 @wp.func
 def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float):
-    """The contact where an edge crosses an edge of a convex shape, from the gradients on both sides of it.
+    """The contact where an edge crosses another edge, from the gradients on both sides of it.
 
     If the search is not close enough to the crossing to sample both sides, its two ends are used instead.
     """
-    if slope(before, search.along) >= 0.0 or slope(after, search.along) <= 0.0:
+    fall = -slope_at(search, search.t - ASIDE * search.half, before)
+    rise = slope_at(search, search.t + ASIDE * search.half, after)
+    if fall <= 0.0 or rise <= 0.0:
         before = search.low
         after = search.high
-    rise = wp.max(slope(after, search.along), 0.0)
-    fall = wp.max(-slope(before, search.along), 0.0)
-    search = cross_faces(search, gradient(before), gradient(after), rise, fall)
+        fall = -search.slope_low
+        rise = search.slope_high
+    search = cross_faces(search, gradient(before), gradient(after), wp.max(rise, 0.0), wp.max(fall, 0.0))
     search.stage = DONE
     search.distance -= radius
-    search.query = search.start + search.t * search.along - radius * search.direction
+    search.query = place_on(search, search.t) - radius * search.direction
     return search
 
 
@@ -216,9 +227,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
     if search.stage == EDGE_HIGH:
         search.high = d
         deepest = wp.where(d[3] < search.low[3], d, search.low)
-        if convex == 0 and wp.length_sq(search.facing) == 0.0:
-            search = to_half(search, search.before)
-        search = edge_has_ends(search)
+        search = edge_has_ends(search, convex)
         if search.stage == DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
             return edge_again(search)
         if search.stage == EDGE_INSIDE and stays_above(search, reach + radius, convex):
@@ -227,7 +236,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
     if search.stage == EDGE_BEFORE:
         search.before = d
         search.stage = EDGE_AFTER
-        search.query = search.start + (search.t + ASIDE * search.half) * search.along
+        search.query = place_on(search, search.t + ASIDE * search.half)
         return search
     if search.stage == EDGE_AFTER:
         search = edge_crossed(search, search.before, d, radius)

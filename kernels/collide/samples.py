@@ -1,10 +1,12 @@
 """Contact point search: finds where one surface sample touches another shape.
 
-The contact point of a point sample is the point itself; on an edge segment it is the deepest point, or the point where
-the edge leaves a face; on the rim of a cylinder and on a sphere it is the deepest point. Each is a short search,
-written as a state machine with a single call of the distance function. That function is large, and one call site keeps
-the GPU code small and fast, and its compilation short.
+The contact point of a point sample is the point itself; on an edge segment or an arc of a rim it is the deepest point,
+or the point where it leaves a face; on the rim of a cylinder and on a sphere it is the deepest point. Each is a short
+search, written as a state machine with a single call of the distance function. That function is large, and one call
+site keeps the GPU code small and fast, and its compilation short.
 """
+
+import math
 
 import warp as wp
 
@@ -28,7 +30,7 @@ from warp_rigid.kernels.collide.edge_search import (
 )
 from warp_rigid.kernels.collide.slide import SLIDE_END, begin_slides, may_slide, next_slide, slide_next
 from warp_rigid.kernels.enums import PartKind, SampleKind
-from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.schema import RIM_ARCS, Shapes
 from warp_rigid.kernels.tuning import RIM_FLAT, RIM_LEAN
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -45,10 +47,11 @@ DEEPER times the size."""
 PARALLEL = wp.constant(1.0e-3)
 """An edge whose half-length covers less than this fraction of a grid's side is not clipped to that side."""
 
-RIM_CENTER = wp.constant(0)
+HALF_ARC = wp.constant(math.pi / RIM_ARCS)
+"""Angle from the middle of an arc to its ends [rad]."""
+
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
-
 
 POINT_AGAIN = wp.constant(1)
 
@@ -176,10 +179,14 @@ def begin_search(s: int, approach: Approach, weight: float, shapes: Shapes):
     search.start = wp.quat_rotate(turn, shapes.samples[s].point) + approach.shift
     search.query = search.start
     search.normal = wp.quat_rotate(turn, shapes.samples[s].normal)
-    if shapes.samples[s].kind == SampleKind.EDGE:
+    kind = shapes.samples[s].kind
+    if kind == SampleKind.EDGE or kind == SampleKind.ARC:
         slide = wp.quat_rotate(turn, shapes.samples[s].slide)
         search.half = wp.length(slide)
         search.along = slide / search.half
+        if kind == SampleKind.ARC:
+            search.outward = wp.normalize(search.normal + wp.cross(search.normal, search.along))
+            search.bend = HALF_ARC / search.half
         search.first = -OVERLAP * search.half
         search.last = OVERLAP * search.half
         search.left = search.first
@@ -189,7 +196,7 @@ def begin_search(s: int, approach: Approach, weight: float, shapes: Shapes):
             search = look_at(search, search.left)
         elif shapes.samples[s].radius == 0.0:
             search = clip_to_grid(search, shapes, shape)
-    elif shapes.samples[s].kind == SampleKind.RIM:
+    elif kind == SampleKind.RIM:
         search.along = search.normal
     elif shapes.samples[s].radius > 0.0:
         search.stage = BALL_CENTER
@@ -225,10 +232,11 @@ def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
     slides = slides and (kind == SampleKind.POINT or kind == SampleKind.FACE)
     if radius > 0.0:
         along_edge += ALL_OF_EDGE * search.half
+    edge = kind == SampleKind.EDGE or kind == SampleKind.ARC
     while search.stage >= 0:
         # The middle of an edge only shows whether the edge may touch.
-        exact_below = wp.where(kind == SampleKind.EDGE and search.stage > EDGE_MIDDLE, along_edge, near)
-        to_place = corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER))
+        exact_below = wp.where(edge and search.stage > EDGE_MIDDLE, along_edge, near)
+        to_place = corners and search.stage >= BALL_CENTER
         d = contact_distance(shapes, shape, search.query, search.facing, wp.where(to_place, -FAR, exact_below))
         if to_place:
             d = ball_distance_to_places(shapes, part, search.query, d, radius, approach.searched, choice)
@@ -237,7 +245,7 @@ def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
             search = slide_next(search, d, size)
         elif search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
-        elif kind == SampleKind.EDGE:
+        elif edge:
             search = edge_next(search, d, approach.searched, radius, size, convex, weight)
         elif kind == SampleKind.RIM:
             search = rim_next(search, d, radius, approach.load, weight)

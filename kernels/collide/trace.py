@@ -365,7 +365,9 @@ def ball_of(own: Course, cluster: int, shapes: Shapes):
 def trace_ball(shapes: Shapes, own: Course, other: Course, cluster: int, ball: Ball, end: float, passage: Passage):
     """Time at which the bounding sphere of a cluster, or of the body for the cluster -1, touches the other body."""
     kind = shapes.clusters[wp.max(cluster, 0)].kind
-    if cluster >= 0 and (kind == SampleKind.CORNER or not matters(kind, own.shape, other.shape, 1, shapes)):
+    if cluster >= 0 and (
+        kind == SampleKind.CORNER or kind == SampleKind.ARC or not matters(kind, own.shape, other.shape, 1, shapes)
+    ):
         return end
     margin = ball.radius + passage.reach
     if out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):

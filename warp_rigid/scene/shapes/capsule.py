@@ -7,7 +7,7 @@ import numpy as np
 from warp_rigid.checks import number_in
 from warp_rigid.scene.shapes import mass_properties, tessellation
 from warp_rigid.scene.shapes.base import Part, PartKind, Shape
-from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
+from warp_rigid.scene.shapes.sampling import VERTEX, SampleList
 
 SURFACE_SECTIONS = 32
 
@@ -45,7 +45,7 @@ class Capsule(Shape):
         """Two balls at the ends and EDGE segments along the axis, all with the capsule's radius."""
         ends = np.array([[0.0, 0.0, -self.half_height], [0.0, 0.0, self.half_height]])
         collected = SampleList()
-        collected.add_round(SampleKind.POINT, ends, radius=self.radius, rank=VERTEX)
+        collected.add_balls(ends, self.radius, rank=VERTEX)
         collected.add_axis(self.half_height, self.radius)
         return collected
 

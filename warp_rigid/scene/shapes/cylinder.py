@@ -5,6 +5,7 @@ from functools import cached_property
 import numpy as np
 
 from warp_rigid.checks import number_in
+from warp_rigid.kernels.schema import RIM_ARCS
 from warp_rigid.scene.shapes import mass_properties, tessellation
 from warp_rigid.scene.shapes.base import Part, PartKind, Shape
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
@@ -45,24 +46,27 @@ class Cylinder(Shape):
         return [Part(PartKind.CYLINDER, (self.radius, self.half_height, 0.0, 0.0))]
 
     def sample_list(self) -> SampleList:
-        """For each cap a RIM, 16 CAP points on its circle and 9 FACE points; for the side, EDGE segments.
+        """For each cap a RIM, its 16 ARCs and their CAP points, and 9 FACE points; for the side, EDGE segments.
 
         The side of a cylinder longer than wide is sampled as a capsule inside it, whose end balls are clear of the
         caps; the side of a disc by 16 lines.
         """
         radius, height = self.radius, self.half_height
-        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-        circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(RIM_POINTS)])
+        angles = 2.0 * np.pi * np.arange(RIM_ARCS) / RIM_ARCS
+        circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(RIM_ARCS)])
         collected = SampleList()
         for sign in (-1.0, 1.0):
             cap = np.array([0.0, 0.0, sign])
-            collected.add(SampleKind.CAP, radius * circle + height * cap, cap, rank=VERTEX)
-            collected.add_round(SampleKind.RIM, height * cap, cap, radius)
+            rim = radius * circle + height * cap
+            collected.add(SampleKind.CAP, rim, cap, rank=VERTEX)
+            collected.add(SampleKind.RIM, height * cap, cap, radius=radius)
+            slide = np.pi / RIM_ARCS * radius * np.cross(circle, cap)
+            collected.add(SampleKind.ARC, rim, np.sqrt(0.5) * (circle + cap), slide)
             collected.add(SampleKind.FACE, height * cap, cap)
             collected.add(SampleKind.FACE, 0.5 * radius * circle[::2] + height * cap, cap)
         axis = height - CLEAR_OF_CAP * radius
         if axis > 0.0:
-            collected.add_round(SampleKind.POINT, [[0.0, 0.0, -axis], [0.0, 0.0, axis]], radius=radius)
+            collected.add_balls([[0.0, 0.0, -axis], [0.0, 0.0, axis]], radius)
             collected.add_axis(axis, radius)
         else:
             slide = (0.0, 0.0, height)

@@ -27,10 +27,10 @@ class Samples:
     Attributes:
         point: (n, 3) float32, a surface point, the middle of a segment, or a circle's centre.
         normal: (n, 3) float32, unit outward; zero where a sample has no direction.
-        slide: (n, 3) float32, half of the segment of an EDGE sample, else zero.
+        slide: (n, 3) float32, half of the segment of an EDGE, half of the length of an ARC along it, else zero.
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
-        choice: (n,) int32, of balls and rims: the place on a mesh that each stands for, from 1; else 0.
+        choice: (n,) int32, of balls: the place on a mesh that each stands for, from 1; else 0.
         unsampled_edges: (n, 8, 3) float32, from a point of a mesh to the next one on each such edge, else zero [m].
         dip: how much nearer than the points the unsampled edges may come to others like them [m].
         cluster_start: (c + 1,) int32, where each cluster begins and the last ends.
@@ -82,10 +82,10 @@ class SampleList:
             shape = WIDTHS.get(name, ())
             column.append(np.broadcast_to(np.asarray(value), (count, *shape)))
 
-    def add_round(self, kind, center, normal=(0, 0, 0), radius: float = 0.0, rank=OTHER) -> None:
-        """Append balls (POINT) or rims (RIM) about points (n, 3), each once for every place on a mesh."""
+    def add_balls(self, center, radius: float, rank=OTHER) -> None:
+        """Append balls about points (n, 3), each once for every place on a mesh."""
         for choice in range(1, BALL_PLACES + 1):
-            self.add(kind, center, normal, radius=radius, rank=rank, choice=choice)
+            self.add(SampleKind.POINT, center, radius=radius, rank=rank, choice=choice)
 
     def add_axis(self, half_length: float, radius: float) -> None:
         """Append EDGE segments with a radius along z, each about one radius long, 8 at most."""
@@ -105,7 +105,7 @@ class SampleList:
 
 
 def cluster_samples(point, normal, slide, radius, kind, choice, rank, unsampled_edges, dip) -> Samples:
-    """Group samples into tight clusters of at most 32, apart: points with rims, edges, faces, and further places.
+    """Group samples into tight clusters of at most 32, apart: points with rims, edges, faces, arcs, further places.
 
     Args:
         point: (n, 3) as in `Samples`.
@@ -120,7 +120,13 @@ def cluster_samples(point, normal, slide, radius, kind, choice, rank, unsampled_
     """
     points = np.isin(kind, (SampleKind.POINT, SampleKind.RIM, SampleKind.CAP))
     groups = []
-    for family in (points & (choice <= 1), kind == SampleKind.EDGE, kind == SampleKind.FACE, choice > 1):
+    for family in (
+        points & (choice <= 1),
+        kind == SampleKind.EDGE,
+        kind == SampleKind.FACE,
+        kind == SampleKind.ARC,
+        choice > 1,
+    ):
         members = np.flatnonzero(family)
         if len(members):
             groups += [members[group] for group in _bisect(point[members])]

@@ -7,7 +7,7 @@ import numpy as np
 from warp_rigid.checks import number_in
 from warp_rigid.scene.shapes import mass_properties, tessellation
 from warp_rigid.scene.shapes.base import Part, PartKind, Shape
-from warp_rigid.scene.shapes.sampling import SampleKind, SampleList
+from warp_rigid.scene.shapes.sampling import SampleList
 
 
 class Sphere(Shape):
@@ -39,7 +39,7 @@ class Sphere(Shape):
     def sample_list(self) -> SampleList:
         """One ball at the centre."""
         collected = SampleList()
-        collected.add_round(SampleKind.POINT, np.zeros((1, 3)), radius=self.radius)
+        collected.add_balls(np.zeros((1, 3)), self.radius)
         return collected
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
