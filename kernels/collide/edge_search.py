@@ -184,6 +184,17 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
 
 
 @wp.func
+def is_doubtful(search: Search, t: float, convex: int):
+    """Whether there may be no minimum at an end t of the interval: tangents of a bumpy surface meet by chance, too.
+
+    The distance has none unless it rises on both sides, or is level there.
+    """
+    if convex == 1 or search.turning != 0.0 or search.right - search.left < 2.0 * ASIDE * search.half:
+        return False
+    return wp.abs(wp.where(t == search.left, search.slope_low, search.slope_high)) > flat_slope(search)
+
+
+@wp.func
 def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: float):
     """One more round of the search between the ends of an edge segment, or its end."""
     search.distance = d[3]
@@ -193,7 +204,11 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     before = search.t
     after = narrowed(search, d, search.turning)
     search = look_at(after, before)
-    if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > EDGE_FOUND * search.half:
+    found = wp.abs(after.t - before) <= EDGE_FOUND * search.half
+    if found and is_doubtful(search, before, convex):
+        after = look_at(search, before + wp.where(before == search.left, ASIDE, -ASIDE) * search.half)
+        found = False
+    if search.stage < EDGE_LAST_INSIDE and not found:
         after.stage = search.stage + 1
         return after
     if wp.abs(before) > BEYOND * search.half:

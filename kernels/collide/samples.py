@@ -23,7 +23,6 @@ from warp_rigid.kernels.collide.distance import (
 from warp_rigid.kernels.collide.edge_search import (
     BALL_CENTER,
     EDGE_LOW,
-    EDGE_MIDDLE,
     OPPOSED,
     OVERLAP,
     edge_next,
@@ -223,19 +222,18 @@ def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
         exact = 1
     choice = shapes.samples[s].choice
     corners = choice > 0 and has_places(shapes, shape)
-    near = radius + wp.min(approach.searched, shapes.shapes[shape].cell)
-    along_edge = radius + shapes.shapes[shape].cell
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[approach.own_shape].convex == 0, 1, 0)
     search = begin_search(s, approach, weight, shapes)
     slides = may_slide(approach.own_shape, shape, shapes) and radius == 0.0
     slides = slides and (kind == SampleKind.POINT or kind == SampleKind.FACE)
-    if radius > 0.0:
-        along_edge += ALL_OF_EDGE * search.half
     edge = kind == SampleKind.EDGE or kind == SampleKind.ARC
+    exact_below = radius + wp.min(approach.searched, shapes.shapes[shape].cell)
+    if edge:
+        exact_below = radius + shapes.shapes[shape].cell
+        if radius > 0.0:
+            exact_below += ALL_OF_EDGE * search.half
     while search.stage >= 0:
-        # The middle of an edge only shows whether the edge may touch.
-        exact_below = wp.where(edge and search.stage > EDGE_MIDDLE, along_edge, near)
         to_place = corners and search.stage >= BALL_CENTER
         d = contact_distance(shapes, shape, search.query, search.facing, wp.where(to_place, -FAR, exact_below))
         if to_place:
