@@ -89,8 +89,8 @@ def test_contacts_without_samples_come_back(device, tmp_path):
     Arms that cross come apart along a direction that they keep.
     """
     scene = wr.Scene(gravity=(0, 0, 0))
-    thick = wr.Compound([(wr.Cylinder(0.1, 0.08), (0, 0, 0), (0, 0, 0, 1)), (wr.Sphere(0.01), (0, 0, 0), (0, 0, 0, 1))])
-    pair, convex = (wr.Cylinder(0.1, 0.08), thick), 2 * (meshes.octahedron(0.1, 16),)
+    thick = wr.Compound([(wr.Box((half, half, half)), (0, 0, 0), (0, 0, 0, 1)) for half in (0.1, 0.01)])
+    pair, convex = 2 * (thick,), 2 * (meshes.octahedron(0.1, 16),)
     bar = wr.Box((0.2, 0.03, 0.03))
     corner = wr.Compound([(bar, (0, 0, 0), (0, 0, 0, 1)), (bar, (0.17, 0, 0.17), rotate_about((0, 1, 0), 90))])
     scene.add_body(corner, position=(3, 0, 0))
