@@ -44,7 +44,7 @@ def depths_of_contacts(sim, count):
 
 
 NONE_MISSED = [("box", "open ring"), ("boxes", "ball"), ("boxes", "corner"), ("cube", "bunny"), ("disc", "boxes")]
-SELDOM_MISSED = [("disc", "torus", 2), ("disc", "bunny", 4), ("box", "bunny", 12)]
+SELDOM_MISSED = [("disc", "torus", 4), ("disc", "bunny", 4), ("box", "bunny", 12)]
 SLOWER = [("box", "box"), ("box", "boxes"), ("rod", "tray"), ("corner", "corner"), ("tray", "cube"), ("disc", "ball")]
 
 

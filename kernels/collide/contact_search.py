@@ -23,8 +23,8 @@ DONE = wp.constant(-1)
 class Search:
     """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
 
-    `least`: the least distance so far, at most 0. `along`: direction of an edge, at its middle if it is an arc; then
-    `bend` is its curvature [1/m], else 0, and `outward` the direction from the centre of the arc to its middle.
+    `least`: the least distance so far, at most 0. `along`: direction of an edge, or of an arc at its middle. `curl`:
+    the curvature of an arc, towards the outside [1/m]; zero for an edge.
     """
 
     stage: int
@@ -36,8 +36,7 @@ class Search:
     distance: float
     start: wp.vec3
     along: wp.vec3
-    bend: float
-    outward: wp.vec3
+    curl: wp.vec3
     half: float
     first: float
     last: float
@@ -76,27 +75,27 @@ def nowhere(search: Search):
 
 @wp.func
 def place_on(search: Search, t: float):
-    """The point at parameter t of the edge or arc."""
-    if search.bend == 0.0:
-        return search.start + t * search.along
-    turn = search.bend * t
-    aside = wp.sin(0.5 * turn)
-    return search.start + (wp.sin(turn) * search.along - 2.0 * aside * aside * search.outward) / search.bend
+    """The point at parameter t of the edge; of an arc, the one beside t along its tangent at the middle [m].
+
+    The arc is r - sqrt(r^2 - t^2) from this tangent, here as a series. The error is 1e-7 r for a 32nd of a circle.
+    """
+    squared = t * t * wp.dot(search.curl, search.curl)
+    aside = t * t * (0.5 + squared * (0.125 + 0.0625 * squared))
+    return search.start + t * search.along - aside * search.curl
 
 
 @wp.func
 def slope_at(search: Search, t: float, d: wp.vec4):
     """Slope along the edge or arc of the distance d at parameter t."""
-    if search.bend == 0.0:
-        return slope(d, search.along)
-    turn = search.bend * t
-    return slope(d, wp.cos(turn) * search.along - wp.sin(turn) * search.outward)
+    squared = t * t * wp.dot(search.curl, search.curl)
+    aside = t * (1.0 + squared * (0.5 + 0.375 * squared))
+    return slope(d, search.along - aside * search.curl)
 
 
 @wp.func
 def flat_slope(search: Search):
     """Slope of the distance below which an edge or arc lies flat."""
-    return wp.where(search.bend > 0.0, RIM_FLAT, FLAT)
+    return wp.where(wp.dot(search.curl, search.curl) > 0.0, RIM_FLAT, FLAT)
 
 
 @wp.func

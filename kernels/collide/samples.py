@@ -184,8 +184,8 @@ def begin_search(s: int, approach: Approach, weight: float, shapes: Shapes):
         search.half = wp.length(slide)
         search.along = slide / search.half
         if kind == SampleKind.ARC:
-            search.outward = wp.normalize(search.normal + wp.cross(search.normal, search.along))
-            search.bend = HALF_ARC / search.half
+            outward = wp.normalize(search.normal + wp.cross(search.normal, search.along))
+            search.curl = HALF_ARC / search.half * outward
         search.first = -OVERLAP * search.half
         search.last = OVERLAP * search.half
         search.left = search.first
