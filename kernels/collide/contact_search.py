@@ -11,7 +11,7 @@ FLAT = wp.constant(0.01)
 """Slope of the distance along an edge below which the edge lies flat."""
 
 CURVED = wp.constant(1.0e-3)
-"""A distance that lies above its tangents by more than this fraction of the interval counts as curved, not kinked."""
+"""A distance whose slope differs from those at both ends by more than this fraction of their difference is curved."""
 
 ROUNDED_OFF = wp.constant(1.0e-3)
 """Tangents that meet outside of their interval by less than this fraction of it meet at its end."""
@@ -126,10 +126,10 @@ def next_inside(search: Search, curved: bool):
 
 
 @wp.func
-def is_curved(search: Search, d: wp.vec4):
-    """Whether the distance along an edge is curved before the present point, and not kinked."""
-    rise = d[3] - search.low[3] - search.slope_low * (search.t - search.left)
-    return rise > CURVED * (search.right - search.left)
+def is_curved(search: Search, now: float):
+    """Whether the distance along an edge is curved, and not kinked: its slope is that of neither end."""
+    aside = wp.min(wp.abs(now - search.slope_low), wp.abs(search.slope_high - now))
+    return aside > CURVED * wp.abs(search.slope_high - search.slope_low)
 
 
 @wp.func
@@ -166,7 +166,7 @@ def narrowed(search: Search, d: wp.vec4, turning: float):
     now = slope_at(search, search.t, d)
     end = wp.where(now < turning, search.slope_low, search.slope_high)
     halved = 2.0 * wp.abs(now - turning) <= wp.abs(end - turning)
-    curved = is_curved(search, d)
+    curved = is_curved(search, now)
     return next_inside(replace_end(search, d, turning), curved and halved)
 
 
