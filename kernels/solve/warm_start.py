@@ -4,7 +4,7 @@ At an impact, the impulses of a step are many times larger than what the next st
 but too few follow in a pile that moves, and what is left of them adds energy. With a factor t on the initial impulses
 of an island, the energy of the contact problem (line_search.py) changes along a parabola that is 0 at t = 0. If its
 minimum is before t = 1/2, it is positive at t = 1, and the impulses are scaled to the minimum. In islands that hardly
-move, they never are.
+move, and without two-pass shock propagation, they never are: the few sweeps could not build them up again.
 """
 
 import warp as wp
@@ -26,6 +26,7 @@ from warp_rigid.kernels.constraints.contact import (
     set_impulse,
 )
 from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
+from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.line_search import accepted_share, add_terms, clear_sums, store_terms
 from warp_rigid.kernels.solve.schedule import (
@@ -53,8 +54,10 @@ def warm_start_pair(entry: OrderRecord, motions: Motions, contacts: Contacts):
 
 @wp.func
 def any_moves(team: Team, envs: Environments, graph: Graph):
-    """1 if an island of an environment moves more than hardly."""
+    """1 if an island of an environment moves more than hardly, and has two-pass shock propagation."""
     moves = int(0)
+    if envs.shock_propagation[team.env] != ShockMode.TWO_PASS:
+        return moves
     for b in range(envs.first_body[team.env] + team.lane, envs.first_body[team.env + 1], team.lanes):
         moves |= wp.where(graph.island_speed[b] > HARDLY, 1, 0)
     return any_of_team(moves, team)
