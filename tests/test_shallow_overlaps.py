@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
+from tests.oracles import rotation_matrix
 from tests.test_deep_starts import SHAPES
+from tests.test_rolling_floors import field, mesh
 
 
 def slightly_overlapping(device, first, second, count):
@@ -65,3 +67,32 @@ def test_a_contact_shows_the_overlap_of_two_bodies(device, first, second, missed
     assert measured.sum() > 0.3 * count
     shown = depths_of_contacts(sim, count)
     assert np.sum(shown[measured] < 0.5 * overlaps[measured]) <= missed
+
+
+@pytest.mark.parametrize("floor", [field, mesh])
+def test_a_rim_touches_a_floor_of_triangles_at_its_lowest_point(device, floor):
+    """The rim of a tilted cylinder, in random directions: the point and its depth in closed form."""
+    count, radius, half_height, depth = 200, 0.15, 0.05, 1e-3
+    scene = wr.Scene(gravity=(0, 0, 0))
+    for shape, position in floor(0.1):
+        scene.add_static(shape, position=position)
+    scene.add_body(wr.Cylinder(radius, half_height))
+    sim = wr.Simulator(scene, count, device=device)
+    generator = np.random.default_rng(1)
+    turns = generator.normal(size=(count, 1, 4))
+    turns /= np.linalg.norm(turns, axis=2, keepdims=True)
+    sim.set("orientation", turns, bodies=[1])
+    axis = np.array([rotation_matrix(turn) @ (0, 0, 1) for turn in turns[:, 0]])
+    axis *= -np.sign(axis[:, 2:])  # to the lower cap
+    down = -np.array([0, 0, 1]) + axis * axis[:, 2:]
+    lowest = half_height * axis + radius * down / np.linalg.norm(down, axis=1, keepdims=True)
+    middle = np.column_stack([generator.uniform(-1, 1, (count, 2)), -lowest[:, 2] - depth])
+    sim.set("position", middle[:, None], bodies=[1])
+    sim.step()
+    contacts = sim.contacts()
+    for env in range(count):
+        found = contacts[contacts["env"] == env]
+        deepest = found[np.argmax(found["depth"])]
+        assert deepest["depth"] == pytest.approx(depth, rel=1e-3)
+        if np.abs(axis[env, 2]) < 0.999:
+            assert np.linalg.norm((deepest["position"] - middle[env] - lowest[env])[:2]) < 1e-3 * radius

@@ -85,11 +85,16 @@ def place_on(search: Search, t: float):
 
 
 @wp.func
+def direction_at(search: Search, t: float):
+    """Derivative of `place_on`: the direction of the edge or arc at parameter t, up to 2 % longer than 1."""
+    squared = t * t * wp.dot(search.curl, search.curl)
+    return search.along - t * (1.0 + squared * (0.5 + 0.375 * squared)) * search.curl
+
+
+@wp.func
 def slope_at(search: Search, t: float, d: wp.vec4):
     """Slope along the edge or arc of the distance d at parameter t."""
-    squared = t * t * wp.dot(search.curl, search.curl)
-    aside = t * (1.0 + squared * (0.5 + 0.375 * squared))
-    return slope(d, search.along - aside * search.curl)
+    return slope(d, direction_at(search, t))
 
 
 @wp.func

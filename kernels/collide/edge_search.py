@@ -6,6 +6,7 @@ from warp_rigid.kernels.collide.contact_search import (
     DONE,
     Search,
     cross_faces,
+    direction_at,
     flat_slope,
     gradient,
     look_at,
@@ -138,7 +139,7 @@ def stays_above(search: Search, reach: float, convex: int):
 def to_flat_side(search: Search):
     """Small offset along an edge, from where it leaves a face (where two faces are equally near) onto that face."""
     left = wp.abs(search.slope_low) < wp.abs(search.slope_high)
-    return wp.where(left, -BESIDE, BESIDE) * search.half * search.along
+    return wp.where(left, -BESIDE, BESIDE) * search.half * direction_at(search, search.t)
 
 
 @wp.func
