@@ -24,6 +24,7 @@ from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.loads import is_visited
 from warp_rigid.kernels.joints.mechanism import energy_terms
 from warp_rigid.kernels.schema import Contacts, Graph, Motions, Order
+from warp_rigid.kernels.solve.gauss_seidel import warm_start_pair
 from warp_rigid.kernels.solve.line_search import (
     FIXED_POINT,
     accepted_share,
@@ -40,7 +41,6 @@ from warp_rigid.kernels.solve.schedule import (
     stride_of_color,
 )
 from warp_rigid.kernels.solve.shock import island_of
-from warp_rigid.kernels.solve.warm_start import warm_start_pair
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

@@ -8,7 +8,8 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import load_bodies, store_bodies
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
-from warp_rigid.kernels.constraints.contact import solve_row
+from warp_rigid.kernels.constraints.contact import apply_row, solve_row
+from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import entry_at, first_of_color, stride_of_color
@@ -28,6 +29,30 @@ def solve_constraint(entry: OrderRecord, motions: Motions, contacts: Contacts):
         pair = solve_row(row, 1.0, 1.0, pair, contacts)
     store_bodies(entry.body_a, entry.body_b, pair, motions)
     return pair.change
+
+
+@wp.func
+def warm_start_pair(entry: OrderRecord, motions: Motions, contacts: Contacts):
+    """Apply the initial impulses of a constraint."""
+    pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
+    distribute_contact_load(entry.begin, entry.end, contacts)
+    for row in range(entry.begin, entry.end):
+        pair = apply_row(row, pair, contacts)
+    store_bodies(entry.body_a, entry.body_b, pair, motions)
+
+
+@wp.kernel
+def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """One team per environment: apply the initial impulses of the rows."""
+    team = team_of(wp.tid(), lanes)
+    env = team.env
+    if envs.warm_starting[env] == 0:
+        return
+    for color in range(order.color_count[env]):
+        stride = stride_of_color(color, team)
+        for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
+            warm_start_pair(entry_at(k, order), motions, contacts)
+        sync_team(team)
 
 
 @wp.func

@@ -24,11 +24,10 @@ from warp_rigid.kernels.solve import (
     restitution,
     rounds,
     shock,
-    warm_start,
 )
 from warp_rigid.kernels.update import ground_motion, health, integrate, paths, predict, sleep, watch
 
-TEAM_MODULES = (restitution, shock, warm_start, gauss_seidel, support, coloring, line_search, push_out)
+TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
 NAMES_OF_TEAM_MODULES = [module.__name__ for module in TEAM_MODULES]

@@ -29,7 +29,6 @@ from warp_rigid.kernels.solve import (
     rest,
     restitution,
     shock,
-    warm_start,
 )
 from warp_rigid.kernels.update import ground_motion, integrate, paths, predict, sleep, watch
 
@@ -277,7 +276,7 @@ class Stages:
     @stage
     def solve_contacts(self) -> None:
         """Contact solver: warm start, sweeps, what is at rest, shock propagation, sweeps; rounds for heaps."""
-        self.joints.warm_start(warm_start.warm_start)
+        self.joints.warm_start(gauss_seidel.warm_start)
         self.sweep_constraints(after_shock=0)
         self._color_by_color(rest.stop_resting_islands, [self.dt])
         for repetition in range(self.repetitions):
