@@ -111,17 +111,19 @@ def test_the_order_in_which_threads_list_pairs_does_not_matter(device):
 
 
 def test_many_rounds_reach_coulombs_law(device):
-    _, stages = fallen(device, contact_iterations=800)
-    problem = ContactProblem(stages)
-    stages.heaps.solve()
-    impulse = stages.pools.contacts.impulses.numpy()["impulse"][: len(problem.contacts["gap"])].astype(np.float64)
-    touched = stages.pools.graph.solver.numpy() == IslandSolver.ROUNDS
-    inside = touched[problem.contacts["body_a"]] | touched[problem.contacts["body_b"]]
-    residual = problem.coulomb_residual(problem.velocity(stages), impulse)
-    assert inside.sum() > 20
-    # In half of the states of such a heap, up to 1 % of the contacts keep slipping to and fro, by up to 7 mm/s.
-    assert np.quantile(residual[inside], 0.98) < 1e-4
-    assert residual[inside].max() < 0.015
+    """In most states of the heap; in some, contacts keep slipping to and fro by up to 7 mm/s."""
+    worst = []
+    for steps in (68, 70, 72):
+        _, stages = fallen(device, steps=steps, contact_iterations=800)
+        problem = ContactProblem(stages)
+        stages.heaps.solve()
+        impulse = stages.pools.contacts.impulses.numpy()["impulse"][: len(problem.contacts["gap"])]
+        touched = stages.pools.graph.solver.numpy() == IslandSolver.ROUNDS
+        inside = touched[problem.contacts["body_a"]] | touched[problem.contacts["body_b"]]
+        assert inside.sum() > 20
+        residual = problem.coulomb_residual(problem.velocity(stages), impulse.astype(np.float64))
+        worst.append(residual[inside].max())
+    assert np.median(worst) < 1e-4 and max(worst) < 0.015
 
 
 def test_islands_are_the_connected_components(device):
