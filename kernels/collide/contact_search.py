@@ -11,7 +11,8 @@ FLAT = wp.constant(0.01)
 """Slope of the distance along an edge below which the edge lies flat."""
 
 CURVED = wp.constant(1.0e-3)
-"""A distance whose slope differs from those at both ends by more than this fraction of their difference is curved."""
+"""A distance is curved, not kinked, if it lies above its tangent by more than this fraction of the interval, or if its
+slope differs from those at both ends by more than this fraction of their difference."""
 
 ROUNDED_OFF = wp.constant(1.0e-3)
 """Tangents that meet outside of their interval by less than this fraction of it meet at its end."""
@@ -131,8 +132,14 @@ def next_inside(search: Search, curved: bool):
 
 
 @wp.func
-def is_curved(search: Search, now: float):
-    """Whether the distance along an edge is curved, and not kinked: its slope is that of neither end."""
+def is_curved(search: Search, d: wp.vec4, now: float):
+    """Whether the distance is curved before the present point, and not kinked.
+
+    Along an edge, it then lies above its tangent. Along an arc, its slope `now` is that of neither end.
+    """
+    if wp.dot(search.curl, search.curl) == 0.0:
+        rise = d[3] - search.low[3] - search.slope_low * (search.t - search.left)
+        return rise > CURVED * (search.right - search.left)
     aside = wp.min(wp.abs(now - search.slope_low), wp.abs(search.slope_high - now))
     return aside > CURVED * wp.abs(search.slope_high - search.slope_low)
 
@@ -171,7 +178,7 @@ def narrowed(search: Search, d: wp.vec4, turning: float):
     now = slope_at(search, search.t, d)
     end = wp.where(now < turning, search.slope_low, search.slope_high)
     halved = 2.0 * wp.abs(now - turning) <= wp.abs(end - turning)
-    curved = is_curved(search, now)
+    curved = is_curved(search, d, now)
     return next_inside(replace_end(search, d, turning), curved and halved)
 
 
