@@ -3,6 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.enums import SampleKind
 from warp_rigid.kernels.tuning import RIM_FLAT
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -15,7 +16,7 @@ CURVED = wp.constant(1.0e-3)
 slope differs from those at both ends by more than this fraction of their difference."""
 
 ROUNDED_OFF = wp.constant(1.0e-3)
-"""Tangents that meet outside of their interval by less than this fraction of it meet at its end."""
+"""Tangents that meet outside of the interval, by less than this fraction of its length, count as meeting at its end."""
 
 DONE = wp.constant(-1)
 
@@ -24,8 +25,8 @@ DONE = wp.constant(-1)
 class Search:
     """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
 
-    `least`: the least distance so far, at most 0. `along`: direction of an edge, or of an arc at its middle. `curl`:
-    the curvature of an arc, towards the outside [1/m]; zero for an edge.
+    `least`: the least distance so far, at most 0. `along`: direction of an edge, or of an arc at its middle.
+    `curvature`: of an arc, times the direction from its centre to its middle [1/m]; zero for an edge.
     """
 
     stage: int
@@ -37,7 +38,7 @@ class Search:
     distance: float
     start: wp.vec3
     along: wp.vec3
-    curl: wp.vec3
+    curvature: wp.vec3
     half: float
     first: float
     last: float
@@ -75,21 +76,28 @@ def nowhere(search: Search):
 
 
 @wp.func
-def place_on(search: Search, t: float):
-    """The point at parameter t of the edge; of an arc, the one beside t along its tangent at the middle [m].
+def is_segment(kind: int):
+    """Whether the contact point of a sample is searched for along an edge or an arc."""
+    return kind == SampleKind.EDGE or kind == SampleKind.ARC
 
-    The arc is r - sqrt(r^2 - t^2) from this tangent, here as a series. The error is 1e-7 r for a 32nd of a circle.
+
+@wp.func
+def place_on(search: Search, t: float):
+    """The point at parameter t [m] of an edge, or of an arc, where t is measured along the tangent at its middle.
+
+    The distance of an arc of radius r from this tangent is r - sqrt(r^2 - t^2). The series has an error of 1e-7 r for a
+    sixteenth of a circle.
     """
-    squared = t * t * wp.dot(search.curl, search.curl)
+    squared = t * t * wp.dot(search.curvature, search.curvature)
     aside = t * t * (0.5 + squared * (0.125 + 0.0625 * squared))
-    return search.start + t * search.along - aside * search.curl
+    return search.start + t * search.along - aside * search.curvature
 
 
 @wp.func
 def direction_at(search: Search, t: float):
     """Derivative of `place_on`: the direction of the edge or arc at parameter t, up to 2 % longer than 1."""
-    squared = t * t * wp.dot(search.curl, search.curl)
-    return search.along - t * (1.0 + squared * (0.5 + 0.375 * squared)) * search.curl
+    squared = t * t * wp.dot(search.curvature, search.curvature)
+    return search.along - t * (1.0 + squared * (0.5 + 0.375 * squared)) * search.curvature
 
 
 @wp.func
@@ -101,7 +109,7 @@ def slope_at(search: Search, t: float, d: wp.vec4):
 @wp.func
 def flat_slope(search: Search):
     """Slope of the distance below which an edge or arc lies flat."""
-    return wp.where(wp.dot(search.curl, search.curl) > 0.0, RIM_FLAT, FLAT)
+    return wp.where(wp.dot(search.curvature, search.curvature) > 0.0, RIM_FLAT, FLAT)
 
 
 @wp.func
@@ -116,7 +124,7 @@ def look_at(search: Search, t: float):
 def next_inside(search: Search, curved: bool):
     """Evaluate next where the tangents at both ends meet or, for a curved distance, where the slope becomes zero.
 
-    If they meet outside, or only the distances at the ends show that there is a minimum, in the middle.
+    The middle is evaluated instead if the tangents meet outside, or if the slopes at the ends show no minimum.
     """
     bend = wp.max(search.slope_high - search.slope_low, 1.0e-6)
     width = search.right - search.left
@@ -137,7 +145,7 @@ def is_curved(search: Search, d: wp.vec4, now: float):
 
     Along an edge, it then lies above its tangent. Along an arc, its slope `now` is that of neither end.
     """
-    if wp.dot(search.curl, search.curl) == 0.0:
+    if wp.dot(search.curvature, search.curvature) == 0.0:
         rise = d[3] - search.low[3] - search.slope_low * (search.t - search.left)
         return rise > CURVED * (search.right - search.left)
     aside = wp.min(wp.abs(now - search.slope_low), wp.abs(search.slope_high - now))
@@ -146,9 +154,9 @@ def is_curved(search: Search, d: wp.vec4, now: float):
 
 @wp.func
 def replace_end(search: Search, d: wp.vec4, turning: float):
-    """Replace the end on the side of the present point, by whether the slope there is below `turning`.
+    """Replace one end by the present point: the left one if the slope there is below `turning`.
 
-    If the distance falls beyond the other end, the present point may replace this one, by the distances at both.
+    If the slope at the other end shows no minimum between them, the distances at both decide.
     """
     now = slope_at(search, search.t, d)
     flat = flat_slope(search)
@@ -172,8 +180,8 @@ def replace_end(search: Search, d: wp.vec4, turning: float):
 def narrowed(search: Search, d: wp.vec4, turning: float):
     """Replace an end by the present point, whose distance is d, and evaluate next inside the smaller interval.
 
-    If the distance is curved, that is where its slope reaches zero if it changes evenly. Where the slope of the end has
-    not halved, the distance has a kink as well, such as an edge's that leaves the side of a cylinder for its cap.
+    For a curved distance, this is where the slope reaches zero if it changes linearly. If the slope has not halved, the
+    distance also has a kink, as where an edge leaves the side of a cylinder for its cap.
     """
     now = slope_at(search, search.t, d)
     end = wp.where(now < turning, search.slope_low, search.slope_high)

@@ -7,6 +7,7 @@ bodies and the grids of meshes give cheap bounds of the distance.
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach
+from warp_rigid.kernels.collide.contact_search import is_segment
 from warp_rigid.kernels.collide.convex_pairs import border_of
 from warp_rigid.kernels.collide.distance import has_places, has_triangles, is_near_grid, is_nearer
 from warp_rigid.kernels.collide.edge_search import OVERLAP
@@ -119,7 +120,7 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
         return False
     p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
     margin = approach.searched + shapes.samples[s].radius
-    if kind == SampleKind.EDGE or kind == SampleKind.ARC:
+    if is_segment(kind):
         slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
         margin += border_of(approach.own_shape, approach.shape, shapes)
         if not segment_meets_box(p, slide, margin, approach.shape, shapes):

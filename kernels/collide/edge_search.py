@@ -157,10 +157,8 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
     search.facing = weight * search.normal
     search.distance -= radius
     search.query -= radius * search.direction
-    search.stage = DONE
-    if search.crossing == 0:
-        search.stage = EDGE_FACING
-        search.query += to_flat_side(search)
+    search.stage = EDGE_FACING
+    search.query += to_flat_side(search)
     return search
 
 
@@ -186,9 +184,9 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
 
 @wp.func
 def is_doubtful(search: Search, t: float, convex: int):
-    """Whether there may be no minimum at an end t of the interval: tangents of a bumpy surface meet by chance, too.
+    """Whether the point t may be no minimum, since tangents of a bumpy surface can meet at any point.
 
-    The distance has none unless it rises on both sides, or is level there.
+    t is an end of the interval. A point with a slope of zero is a minimum; at another one, the other side is unknown.
     """
     if convex == 1 or search.turning != 0.0 or search.right - search.left < 2.0 * ASIDE * search.half:
         return False

@@ -11,7 +11,7 @@ import math
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach
-from warp_rigid.kernels.collide.contact_search import DONE, Search, gradient, look_at, nowhere
+from warp_rigid.kernels.collide.contact_search import DONE, Search, gradient, is_segment, look_at, nowhere
 from warp_rigid.kernels.collide.distance import (
     BORDER,
     FAR,
@@ -179,13 +179,13 @@ def begin_search(s: int, approach: Approach, weight: float, shapes: Shapes):
     search.query = search.start
     search.normal = wp.quat_rotate(turn, shapes.samples[s].normal)
     kind = shapes.samples[s].kind
-    if kind == SampleKind.EDGE or kind == SampleKind.ARC:
+    if is_segment(kind):
         slide = wp.quat_rotate(turn, shapes.samples[s].slide)
         search.half = wp.length(slide)
         search.along = slide / search.half
         if kind == SampleKind.ARC:
             outward = wp.normalize(search.normal + wp.cross(search.normal, search.along))
-            search.curl = HALF_ARC / search.half * outward
+            search.curvature = HALF_ARC / search.half * outward
         search.first = -OVERLAP * search.half
         search.last = OVERLAP * search.half
         search.left = search.first
@@ -227,7 +227,7 @@ def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
     search = begin_search(s, approach, weight, shapes)
     slides = may_slide(approach.own_shape, shape, shapes) and radius == 0.0
     slides = slides and (kind == SampleKind.POINT or kind == SampleKind.FACE)
-    edge = kind == SampleKind.EDGE or kind == SampleKind.ARC
+    edge = is_segment(kind)
     exact_below = radius + wp.min(approach.searched, shapes.shapes[shape].cell)
     if edge:
         exact_below = radius + shapes.shapes[shape].cell
