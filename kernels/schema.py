@@ -157,6 +157,8 @@ SolverBodyRecord = packed_record(
     start_angular=Field(wp.vec3, "", "rad/s", "angular velocity before shock propagation"),
     loaded_linear=Field(wp.vec3, "", "m/s", "velocity under the load of the bodies above (shock.py)"),
     loaded_angular=Field(wp.vec3, "", "rad/s", "angular velocity under the load of the bodies above"),
+    unsolved_linear=Field(wp.vec3, "", "m/s", "velocity before the contact solver"),
+    unsolved_angular=Field(wp.vec3, "", "rad/s", "angular velocity before the contact solver"),
 )
 
 Motions = layout(
@@ -506,7 +508,7 @@ Graph = layout(
         wp.int64, "bodies", "", "denominator of an island's line search, in multiples of 2^-40 `largest`"
     ),
     largest=Field(float, "bodies", "J", "largest summand of the numerator and denominator"),
-    max_velocity_change=Field(float, "bodies", "m/s", "of an island: largest velocity change by shock propagation"),
+    accepted=Field(float, "bodies", "", "share of shock propagation accepted by the line search of the body's island"),
     bouncing_votes=Field(int, "bodies", "", "at an island's index: bodies with restitution"),
     fallen_votes=Field(int, "bodies", "", "at an island's index: bodies that were in free flight at some time"),
     island_mass=Field(float, "bodies", "kg", "at an island's index: largest mass of a body"),

@@ -22,6 +22,7 @@ INERTIA = wp.constant(group_of(SolverBodyRecord, "inverse_inertia_xx"))
 PUSH = wp.constant(group_of(SolverBodyRecord, "push_linear"))
 START = wp.constant(group_of(SolverBodyRecord, "start_linear"))
 UNDER_LOAD = wp.constant(group_of(SolverBodyRecord, "loaded_linear"))
+UNSOLVED = wp.constant(group_of(SolverBodyRecord, "unsolved_linear"))
 """First group of each velocity: the linear velocity, followed by the angular velocity."""
 
 
@@ -88,13 +89,13 @@ def store_inverse_inertia(b: int, inverse: wp.mat33, motions: Motions):
 
 @wp.func
 def load_velocity(b: int, which: int, motions: Motions):
-    """A linear velocity of a body: VELOCITY, PUSH, START or UNDER_LOAD; the angular velocity is at `which` + 1."""
+    """A linear velocity of a body, by its first group; the angular velocity is at `which` + 1."""
     return first_three(read_solver_body(motions.solver_bodies, b, which))
 
 
 @wp.func
 def store_velocity(b: int, which: int, linear: wp.vec3, angular: wp.vec3, motions: Motions):
-    """Store one of a body's additional velocities: PUSH, START or UNDER_LOAD."""
+    """Store one of a body's additional velocities: PUSH, START, UNDER_LOAD or UNSOLVED."""
     write_solver_body(motions.solver_bodies, b, which, linear, 0.0)
     write_solver_body(motions.solver_bodies, b, which + 1, angular, 0.0)
 
@@ -120,7 +121,7 @@ def load_bodies(a: int, b: int, share_a: float, share_b: float, motions: Motions
 
 @wp.func
 def with_velocities(a: int, b: int, which: int, pair: BodyPair, motions: Motions):
-    """The pair with its velocities replaced by PUSH, START or UNDER_LOAD."""
+    """The pair with its velocities replaced by PUSH, START, UNDER_LOAD or UNSOLVED."""
     pair.linear_a = load_velocity(a, which, motions)
     pair.angular_a = load_velocity(a, which + 1, motions)
     pair.linear_b = load_velocity(b, which, motions)

@@ -215,12 +215,15 @@ def store_start(c: int, contacts: Contacts):
 
 
 @wp.func
-def energy_terms(c: int, then: BodyPair, now: BodyPair, contacts: Contacts):
-    """Contribution of a row to the two sums of the line search [J]: -(v0.M dv + b.dl) and dv.M dv."""
+def energy_terms(c: int, kept: float, then: BodyPair, now: BodyPair, contacts: Contacts):
+    """Contribution of a row to the two sums of a line search [J]: -(v0.M dv + b.dl) and dv.M dv.
+
+    `kept`: factor on the stored start impulses; 0 if the search starts without impulses.
+    """
     row = read_contact(c, contacts.rows)
-    change = impulse_of(c, IMPULSE, contacts) - impulse_of(c, START_IMPULSE, contacts)
+    change = impulse_of(c, IMPULSE, contacts) - kept * impulse_of(c, START_IMPULSE, contacts)
     impulse = world_vector(row.normal, row.tangent, change)
-    turn = impulse_of(c, ANGULAR_IMPULSE, contacts) - impulse_of(c, START_ANGULAR_IMPULSE, contacts)
+    turn = impulse_of(c, ANGULAR_IMPULSE, contacts) - kept * impulse_of(c, START_ANGULAR_IMPULSE, contacts)
     angular_impulse = world_vector(row.normal, row.tangent, turn)
     before = contact_velocity(row, then)
     spin_before = then.angular_a - then.angular_b
@@ -228,6 +231,13 @@ def energy_terms(c: int, then: BodyPair, now: BodyPair, contacts: Contacts):
     slope = wp.dot(impulse, before) + wp.dot(angular_impulse, spin_before) + change[0] * row.bias_velocity
     gained = wp.dot(impulse, contact_velocity(row, now) - before) + wp.dot(angular_impulse, spin - spin_before)
     return wp.vec2(-slope, gained)
+
+
+@wp.func
+def scale_row(c: int, t: float, contacts: Contacts):
+    """Multiply the impulses of a row by a factor."""
+    set_impulse(c, IMPULSE, t * impulse_of(c, IMPULSE, contacts), contacts)
+    set_impulse(c, ANGULAR_IMPULSE, t * impulse_of(c, ANGULAR_IMPULSE, contacts), contacts)
 
 
 @wp.func

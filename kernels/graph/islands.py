@@ -104,6 +104,7 @@ def start_islands(bodies: Bodies, graph: Graph):
     graph.pressed[b] = 0
     graph.stuck[b] = 0
     graph.restless[b] = 0
+    graph.accepted[b] = 1.0
 
 
 @wp.kernel

@@ -15,7 +15,7 @@ have changed is therefore scaled in the same way.
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import START, load_velocity, store_velocity
+from warp_rigid.kernels.common.solver_body import START, store_velocity
 from warp_rigid.kernels.common.team import Team, sync_team
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.contact import blend_row, store_start
@@ -31,6 +31,7 @@ from warp_rigid.kernels.solve.line_search import (
     add_terms,
     add_up,
     clear_sums,
+    scale_change,
     store_terms,
 )
 from warp_rigid.kernels.solve.schedule import (
@@ -109,12 +110,7 @@ def scale_changes(
     """Scale the changes since the start of the search by the factor of each island."""
     for b in range(first + team.lane, last, team.lanes):
         if motions.role[b] == Role.FREE:
-            t = accepted_share(graph.island[b], graph)
-            body = motions.solver_bodies[b]
-            linear = load_velocity(b, START, motions)
-            angular = load_velocity(b, START + 1, motions)
-            motions.solver_bodies[b].linear = linear + t * (body.linear - linear)
-            motions.solver_bodies[b].angular = angular + t * (body.angular - angular)
+            scale_change(b, accepted_share(graph.island[b], graph), START, motions)
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
         share = wp.float64(accepted_share(island_of_joint(j, motions, joints, graph), graph))
         joints.total[j] = joints.start[j] + share * (joints.total[j] - joints.start[j])
@@ -149,7 +145,7 @@ def search_energy(
     The joints must have been solved.
     """
     clear_sums(first, last, team, graph)
-    store_terms(team, order, graph, motions, contacts)
+    store_terms(START, team, order, graph, motions, contacts)
     store_joint_terms(dt, team, graph, motions, joints)
     add_terms(team, order, graph, motions)
     add_joint_terms(team, graph, motions, joints)

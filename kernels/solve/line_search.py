@@ -1,4 +1,4 @@
-"""Line search: ensures that two-pass shock propagation never increases the energy.
+"""Line searches: ensure that neither two-pass shock propagation nor the whole contact solver increases the energy.
 
 The two passes give a search direction. With v0, l0 the velocities and impulses before the passes and dv, dl their
 change, the contact problem's energy f(l) = v.Mv / 2 + b.l along the segment is a parabola. Its minimum
@@ -7,17 +7,30 @@ change, the contact problem's energy f(l) = v.Mv / 2 + b.l along the segment is 
 
 is computed for each island. The friction cones are convex, so impulses stay admissible, and f never increases. Since
 dv = M^-1 J^T dl, both sums can be computed over the contacts: v0.M dv = sum dl.(J v0) and dv.M dv = sum dl.(J dv).
+
+From the initial impulses on, no stage of the solver increases f. The initial impulses themselves may: those of an
+impact are many times larger than what the next step requires, and a few sweeps do not take all of them back. A second
+search therefore compares the end of the solver with the velocities before it, where all impulses are 0. The energy has
+increased if t < 1/2. The velocities and impulses of the island are then scaled to the minimum.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import START, load_bodies, store_velocity, with_velocities
-from warp_rigid.kernels.common.team import Team, sync_team, team_of
-from warp_rigid.kernels.constraints.contact import blend_row, energy_terms, store_start
+from warp_rigid.kernels.common.solver_body import (
+    START,
+    UNSOLVED,
+    load_bodies,
+    load_velocity,
+    store_velocity,
+    with_velocities,
+)
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.constraints.contact import blend_row, energy_terms, scale_row, store_start
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
 from warp_rigid.kernels.solve.shock import is_propagated, island_of
+from warp_rigid.kernels.tuning import HARDLY
 
 wp.set_module_options({"enable_backward": False})
 
@@ -57,13 +70,17 @@ def store_before_shock(
 
 
 @wp.func
-def energy_of(entry: OrderRecord, motions: Motions, contacts: Contacts):
-    """Contribution of a constraint to the two sums [J]: -(v0.M dv + b.dl) and dv.M dv."""
+def energy_of(entry: OrderRecord, since: int, motions: Motions, contacts: Contacts):
+    """Contribution of a constraint to the two sums [J]: -(v0.M dv + b.dl) and dv.M dv.
+
+    `since`: the velocities v0, START or UNSOLVED.
+    """
     now = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
-    then = with_velocities(entry.body_a, entry.body_b, START, now, motions)
+    then = with_velocities(entry.body_a, entry.body_b, since, now, motions)
+    kept = wp.where(since == START, 1.0, 0.0)
     sums = wp.vec2(0.0, 0.0)
     for row in range(entry.begin, entry.end):
-        sums += energy_terms(row, then, now, contacts)
+        sums += energy_terms(row, kept, then, now, contacts)
     return sums
 
 
@@ -86,11 +103,11 @@ def clear_sums(first: int, last: int, team: Team, graph: Graph):
 
 
 @wp.func
-def store_terms(team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
-    """Store the summands of all constraints, and the largest one of each island."""
+def store_terms(since: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """Store the summands of all constraints, and the largest one of each island; `since`: as for `energy_of`."""
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        sums = energy_of(entry, motions, contacts)
+        sums = energy_of(entry, since, motions, contacts)
         graph.energy_terms[k] = sums
         island = island_of(entry, motions, graph)
         wp.atomic_max(graph.largest, island, wp.max(wp.abs(sums[0]), wp.abs(sums[1])))
@@ -125,22 +142,13 @@ def sum_energy(
     motions: Motions,
     contacts: Contacts,
 ):
-    """One team per environment: the two sums of the line search for each island, and its largest velocity change."""
+    """One team per environment: the two sums of the line search for each island."""
     team = team_of(wp.tid(), lanes)
     env = team.env
     if not searched(env, envs, graph):
         return
-    first = envs.first_body[env]
-    last = envs.first_body[env + 1]
-    for body in range(first + team.lane, last, lanes):
-        graph.max_velocity_change[body] = 0.0
-    clear_sums(first, last, team, graph)
-    for body in range(first + team.lane, last, lanes):
-        solver_body = motions.solver_bodies[body]
-        wp.atomic_max(
-            graph.max_velocity_change, graph.island[body], wp.length(solver_body.linear - solver_body.start_linear)
-        )
-    store_terms(team, order, graph, motions, contacts)
+    clear_sums(envs.first_body[env], envs.first_body[env + 1], team, graph)
+    store_terms(START, team, order, graph, motions, contacts)
     add_terms(team, order, graph, motions)
 
 
@@ -152,6 +160,16 @@ def accepted_share(island: int, graph: Graph):
     return wp.clamp(float(graph.numerator[island]) / float(graph.denominator[island]), 0.0, 1.0)
 
 
+@wp.func
+def scale_change(b: int, t: float, since: int, motions: Motions):
+    """Scale the change of a body's velocities since START or UNSOLVED."""
+    body = motions.solver_bodies[b]
+    linear = load_velocity(b, since, motions)
+    angular = load_velocity(b, since + 1, motions)
+    motions.solver_bodies[b].linear = linear + t * (body.linear - linear)
+    motions.solver_bodies[b].angular = angular + t * (body.angular - angular)
+
+
 @wp.kernel
 def accept(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """One team per environment: apply the accepted step length of each island."""
@@ -161,13 +179,67 @@ def accept(lanes: int, envs: Environments, order: Order, graph: Graph, motions: 
         return
     for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], lanes):
         t = accepted_share(graph.island[b], graph)
-        solver_body = motions.solver_bodies[b]
-        motions.solver_bodies[b].linear = solver_body.start_linear + t * (solver_body.linear - solver_body.start_linear)
-        motions.solver_bodies[b].angular = solver_body.start_angular + t * (
-            solver_body.angular - solver_body.start_angular
-        )
+        graph.accepted[b] = t
+        scale_change(b, t, START, motions)
     for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
         entry = entry_at(k, order)
         t = accepted_share(island_of(entry, motions, graph), graph)
         for row in range(entry.begin, entry.end):
             blend_row(row, t, contacts)
+
+
+@wp.func
+def leave_joined(first: int, last: int, team: Team, graph: Graph):
+    """Leave the islands with joints as they are: they have line searches of their own (initial_impulses.py)."""
+    sync_team(team)
+    for b in range(first + team.lane, last, team.lanes):
+        if graph.tied[b] == 1:
+            graph.denominator[graph.island[b]] = wp.int64(0)
+    sync_team(team)
+
+
+@wp.func
+def share_without_gain(island: int, graph: Graph):
+    """Factor on all impulses of an island: below 1 if it moves and the impulses have increased its energy."""
+    t = accepted_share(island, graph)
+    return wp.where(t < 0.5 and graph.island_speed[island] > HARDLY, t, 1.0)
+
+
+@wp.func
+def may_gain(team: Team, envs: Environments, order: Order, graph: Graph):
+    """Whether the contact solver may have increased the energy of an island that moves."""
+    env = team.env
+    if envs.shock_propagation[env] != ShockMode.TWO_PASS or envs.warm_starting[env] == 0:
+        return False
+    if order.color_count[env] == 0 or graph.converged[env] == 1:
+        return False
+    moving = int(0)
+    for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
+        if graph.island_speed[graph.island[b]] > HARDLY:
+            moving = 1
+    return any_of_team(moving, team) == 1
+
+
+@wp.kernel
+def prevent_gain(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """One team per environment: scale the impulses of the islands whose energy the contact solver has increased."""
+    team = team_of(wp.tid(), lanes)
+    env = team.env
+    if not may_gain(team, envs, order, graph):
+        return
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
+    clear_sums(first, last, team, graph)
+    store_terms(UNSOLVED, team, order, graph, motions, contacts)
+    add_terms(team, order, graph, motions)
+    leave_joined(first, last, team, graph)
+    for b in range(first + team.lane, last, lanes):
+        t = share_without_gain(graph.island[b], graph)
+        if t < 1.0:
+            scale_change(b, t, UNSOLVED, motions)
+    for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
+        entry = entry_at(k, order)
+        t = share_without_gain(island_of(entry, motions, graph), graph)
+        if t < 1.0:
+            for row in range(entry.begin, entry.end):
+                scale_row(row, t, contacts)

@@ -275,7 +275,7 @@ class Stages:
 
     @stage
     def solve_contacts(self) -> None:
-        """Contact solver: warm start, sweeps, what is at rest, shock propagation, sweeps; rounds for heaps."""
+        """Contact solver: warm start, sweeps, what is at rest, shock propagation, sweeps, no gain; rounds for heaps."""
         self.joints.warm_start(gauss_seidel.warm_start)
         self.sweep_constraints(after_shock=0)
         self._color_by_color(rest.stop_resting_islands, [self.dt])
@@ -283,6 +283,7 @@ class Stages:
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
         self._color_by_color(calm.sweep_calm_islands, [self.dt])
+        self._color_by_color(line_search.prevent_gain)
         if self.crowded:
             self.heaps.solve()
 

@@ -7,7 +7,7 @@ import numpy as np
 from warp_rigid.engine import health_checks
 from warp_rigid.engine.shard import Shard
 from warp_rigid.engine.world import World
-from warp_rigid.kernels.enums import IslandSolver, ShockMode
+from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.scene.scene import Motion
 
 COUNTED = (
@@ -154,18 +154,13 @@ def _island_counts(world: World) -> dict[str, np.ndarray]:
     by_solver = {f"islands_{one.name.lower()}": first & ~asleep & (solver == one) for one in IslandSolver}
     counted = {"islands": first, **by_solver, "islands_asleep": first & asleep}
     counts = {name: np.bincount(env[those], minlength=world.num_envs) for name, those in counted.items()}
-    return counts | {"accepted_share": _accepted_share(world, np.flatnonzero(by_solver["islands_shock"]))}
+    return counts | {"accepted_share": _accepted_share(world)}
 
 
-def _accepted_share(world: World, islands: np.ndarray) -> np.ndarray:
-    """Smallest share of shock propagation that the line search accepted in any of these islands, (envs,); else 1."""
-    envs, env = world.envs, world.layout.env_of_row[islands]
-    searched = (envs.shock_propagation.numpy() == ShockMode.TWO_PASS) & (envs.shock_iterations.numpy() > 0)
-    terms = (world.shards.gather(partial(_graph_column, name=name))[islands] for name in ("numerator", "denominator"))
-    numerator, denominator = (term.astype(np.float64) for term in terms)
-    share = np.divide(numerator, denominator, out=np.ones(len(islands)), where=searched[env] & (denominator > 0))
+def _accepted_share(world: World) -> np.ndarray:
+    """Smallest share of shock propagation that the line search accepted in any island of an environment, (envs,)."""
     least = np.ones(world.num_envs)
-    np.minimum.at(least, env, np.clip(share, 0.0, 1.0))
+    np.minimum.at(least, world.layout.env_of_row, world.shards.gather(lambda shard: shard.pools.graph.accepted.numpy()))
     return least
 
 
