@@ -95,3 +95,56 @@ def test_without_restitution_a_ball_moves_on_with_the_door(device):
     sim = arms(1, wr.RevoluteJoint((0, 0, 1)), 0.5, 0.0, device)
     mass = 1 / response(1, 0.5)
     assert sim.get("linear_velocity")[0, -1, 1] == pytest.approx(SPEED * MASS / (MASS + mass), rel=0.02)
+
+
+def scissors(device, hub, heavy, restitution):
+    """Two balls on massless bars from the origin, which close like scissors until the balls hit each other.
+
+    The bars hinge on each other, or on a cube at the origin.
+    """
+    scene = wr.Scene(gravity=(0, 0, 0))
+    if hub:
+        scene.add_body(wr.Box((0.05, 0.05, 0.05)), mass=2.0)
+    balls = []
+    for sign in (1, -1):
+        place = 0.5 * np.array([np.cos(0.6), sign * np.sin(0.6), 0])
+        spin = np.array([0, 0, -2.0 * sign])
+        moving = {"linear_velocity": np.cross(spin, place), "angular_velocity": spin, "position": place}
+        mass = heavy if sign == 1 else MASS
+        balls.append(scene.add_body(wr.Sphere(0.1), mass=mass, restitution=restitution, friction=0.0, **moving))
+    hinge = wr.RevoluteJoint((0, 0, 1))
+    for ball in balls if hub else balls[:1]:
+        scene.add_joint(hinge, ball, 0 if hub else balls[1], anchor=(0, 0, 0), collide=True)
+    return wr.Simulator(scene, device=device), balls
+
+
+@pytest.mark.parametrize("hub", [False, True])
+@pytest.mark.parametrize("heavy", [1.0, 3.0])
+@pytest.mark.parametrize("restitution", [0.5, 1.0])
+def test_bodies_of_one_mechanism_bounce_off_each_other(device, hub, heavy, restitution):
+    """They left each other with less than 0.01 of their speed at any restitution."""
+    sim, balls = scissors(device, hub, heavy, restitution)
+    energy = sim.get("kinetic_energy")[0].sum()
+    closing = []
+    for _ in range(80):
+        sim.step(1)
+        place, velocity = sim.get("position")[0, balls], sim.get("linear_velocity")[0, balls]
+        closing.append((velocity[0] - velocity[1]) @ (place[1] - place[0]) / np.linalg.norm(place[1] - place[0]))
+    hit = int(np.argmin(np.array(closing) > 0.0))
+    assert 0 < hit < 79
+    assert -closing[hit] == pytest.approx(restitution * closing[hit - 1], rel=0.02)
+    if restitution == 1.0:
+        assert sim.get("kinetic_energy")[0].sum() == pytest.approx(energy, rel=5e-3)
+
+
+def test_bodies_that_a_joint_holds_to_each_other_may_touch(device):
+    """They have no relative motion, and no mass in the contact."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    first = scene.add_body(wr.Sphere(0.1), restitution=1.0)
+    second = scene.add_body(wr.Sphere(0.1), position=(0.199, 0, 0), restitution=1.0)
+    scene.add_joint(wr.FixedJoint(), first, second, anchor=(0.1, 0, 0), collide=True)
+    scene.add_body(wr.Sphere(0.1), position=(-0.5, 0, 0), linear_velocity=(1.0, 0, 0), restitution=1.0)
+    sim = wr.Simulator(scene, device=device)
+    sim.step(120)
+    assert sim.get("linear_velocity")[0, :2, 0] == pytest.approx([2 / 3, 2 / 3], abs=2e-3)
+    assert sim.get("linear_velocity")[0, 2, 0] == pytest.approx(-1 / 3, abs=2e-3)

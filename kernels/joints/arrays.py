@@ -90,6 +90,12 @@ Joints = layout(
     answered=Reused(int, "joined", "", "factorization of the mechanism to which `response` belongs", start=-1),
     pushed=Scratch(vec6d, "joined", "SI", "impulse and angular impulse of a visit on the body"),
     response=Reused(mat66d, "joined", "SI", "velocity of a body per impulse and angular impulse where the joints hold"),
+    cross_response=Scratch(
+        mat66d,
+        "mechanisms",
+        "SI",
+        "of a pair of its bodies: velocity of the second per impulse and angular impulse on the first",
+    ),
     inverse_mass=Scratch(wp.float64, "joined", "1/kg", "inverse mass for the joints; 0 unless free"),
     inverse_inertia=Scratch(
         mat33d, "joined", "1/(kg m^2)", "inverse inertia in the world for the joints; 0 unless free"

@@ -34,7 +34,7 @@ from warp_rigid.kernels.constraints.load_distribution import distribute_contact_
 from warp_rigid.kernels.enums import IslandSolver, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat66d, vec6d
 from warp_rigid.kernels.joints.mechanism import IN_CONTACT, needs_solution, solve_mechanism
-from warp_rigid.kernels.joints.responses import push_mechanism, store_response
+from warp_rigid.kernels.joints.responses import push_mechanism, store_cross_response, store_response
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_of_color, stride_of_color
@@ -240,8 +240,7 @@ class Visit:
     """A visit of a pair: the bodies, their mechanisms (-1 for none), and what has been applied to them so far.
 
     `on_a` and `on_b` are impulses and angular impulses on bodies of mechanisms; `change` is the largest velocity change
-    by a contact [m/s]. `share` is a factor on responses: 2 if both bodies belong to the same mechanism, since twice the
-    responses of both are an upper bound of that of their relative motion.
+    by a contact [m/s].
     """
 
     a: int
@@ -252,22 +251,57 @@ class Visit:
     on_a: vec6d
     on_b: vec6d
     change: float
-    share: wp.float64
+
+
+@wp.func
+def is_within(visit: Visit):
+    """Whether both bodies of a pair belong to the same mechanism: each answers to impulses on the other, too."""
+    return visit.m_a >= 0 and visit.m_a == visit.m_b
+
+
+@wp.func
+def inverse_cross_masses(cross: mat66d, row: ContactRecord):
+    """What the inverse effective masses of both bodies of a mechanism exceed those of their relative motion by.
+
+    With the response C of the second body to the first, and the unit wrenches a and b of an axis on both, the entry of
+    two axes x and y is b_x.C a_y + b_y.C a_x. The entries are in the order of `inverse_masses`.
+    """
+    v = wp.cross(row.normal, row.tangent)
+    n_b = wrench(row.arm_b, row.normal)
+    u_b = wrench(row.arm_b, row.tangent)
+    v_b = wrench(row.arm_b, v)
+    by_n = cross * wrench(row.arm_a, row.normal)
+    by_u = cross * wrench(row.arm_a, row.tangent)
+    by_v = cross * wrench(row.arm_a, v)
+    two = wp.float64(2.0)
+    return vec6d(
+        two * wp.dot(n_b, by_n),
+        wp.dot(u_b, by_n) + wp.dot(n_b, by_u),
+        wp.dot(v_b, by_n) + wp.dot(n_b, by_v),
+        two * wp.dot(u_b, by_u),
+        wp.dot(u_b, by_v) + wp.dot(v_b, by_u),
+        two * wp.dot(v_b, by_v),
+    )
 
 
 @wp.func
 def with_responses(row: ContactRecord, visit: Visit, joints: Joints):
     """The row with the effective masses of bodies of mechanisms."""
     if visit.m_a >= 0:
-        k = inverse_masses(visit.share * joints.response[visit.a], row.arm_a, row.normal, row.tangent)
+        k = inverse_masses(joints.response[visit.a], row.arm_a, row.normal, row.tangent)
         row.normal_a = float(k[0])
         row.coupling_a = wp.vec2(float(k[1]), float(k[2]))
         row.tangent_a = wp.vec3(float(k[3]), float(k[4]), float(k[5]))
     if visit.m_b >= 0:
-        k = inverse_masses(visit.share * joints.response[visit.b], row.arm_b, row.normal, row.tangent)
+        k = inverse_masses(joints.response[visit.b], row.arm_b, row.normal, row.tangent)
         row.normal_b = float(k[0])
         row.coupling_b = wp.vec2(float(k[1]), float(k[2]))
         row.tangent_b = wp.vec3(float(k[3]), float(k[4]), float(k[5]))
+    if is_within(visit):
+        k = inverse_cross_masses(joints.cross_response[visit.m_a], row)
+        row.normal_a -= float(k[0])
+        row.coupling_a -= wp.vec2(float(k[1]), float(k[2]))
+        row.tangent_a -= wp.vec3(float(k[3]), float(k[4]), float(k[5]))
     return row
 
 
@@ -288,12 +322,16 @@ def with_wrenches(on_a: vec6d, on_b: vec6d, visit: Visit, joints: Joints):
     """The visit after impulses and angular impulses on those of its bodies that belong to mechanisms."""
     if visit.m_a >= 0:
         visit.on_a += on_a
-        change = visit.share * (joints.response[visit.a] * on_a)
+        change = joints.response[visit.a] * on_a
+        if is_within(visit):
+            change += wp.transpose(joints.cross_response[visit.m_a]) * on_b
         visit.pair.linear_a += linear_part(change)
         visit.pair.angular_a += angular_part(change)
     if visit.m_b >= 0:
         visit.on_b += on_b
-        change = visit.share * (joints.response[visit.b] * on_b)
+        change = joints.response[visit.b] * on_b
+        if is_within(visit):
+            change += joints.cross_response[visit.m_b] * on_a
         visit.pair.linear_b += linear_part(change)
         visit.pair.angular_b += angular_part(change)
     return visit
@@ -331,9 +369,12 @@ def roll(c: int, row: ContactRecord, visit: Visit, contacts: Contacts, joints: J
     """The visit after rolling and spinning friction of a contact."""
     pair = visit.pair
     if visit.m_a >= 0:
-        pair.inverse_inertia_a = angular_response(visit.share * joints.response[visit.a])
+        pair.inverse_inertia_a = angular_response(joints.response[visit.a])
     if visit.m_b >= 0:
-        pair.inverse_inertia_b = angular_response(visit.share * joints.response[visit.b])
+        pair.inverse_inertia_b = angular_response(joints.response[visit.b])
+    if is_within(visit):
+        cross = angular_response(joints.cross_response[visit.m_a])
+        pair.inverse_inertia_a -= cross + wp.transpose(cross)
     old = contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts)
     load = contact.impulse_of(c, contact.IMPULSE, contacts)[0]
     pair = contact.solve_rolling(c, load, row, pair, contacts)
@@ -364,7 +405,6 @@ def open_visit(entry: OrderRecord, motions: Motions, joints: Joints):
     visit.b = entry.body_b
     visit.m_a = solved_mechanism(visit.a, joints)
     visit.m_b = solved_mechanism(visit.b, joints)
-    visit.share = wp.float64(wp.where(visit.m_a == visit.m_b, 2.0, 1.0))
     share_a = wp.where(visit.m_a < 0, 1.0, 0.0)
     visit.pair = load_bodies(visit.a, visit.b, share_a, wp.where(visit.m_b < 0, 1.0, 0.0), motions)
     return visit
@@ -425,6 +465,9 @@ def answer_pair(entry: OrderRecord, team: Team, joints: Joints):
         if m >= 0:
             store_response(m, b, team, joints)
         side += 1
+    m = solved_mechanism(entry.body_a, joints)
+    if m >= 0 and m == solved_mechanism(entry.body_b, joints):
+        store_cross_response(m, entry.body_a, entry.body_b, team, joints)
 
 
 @wp.func

@@ -1,7 +1,8 @@
 """Responses of a mechanism: velocities that an impulse on one of its bodies causes where the joints hold.
 
-The response of a body is its block of M^-1 - M^-1 G^T A^-1 G M^-1 (factor.py). A team of lanes stores it, each lane for
-some of the six unit impulses, and applies an impulse to the whole mechanism.
+The response of a body is its diagonal block of M^-1 - M^-1 G^T A^-1 G M^-1 (factor.py), the cross response of two
+bodies of a mechanism their other block. A team of lanes stores them, each lane for some of the six unit impulses, and
+applies an impulse to the whole mechanism.
 """
 
 import warp as wp
@@ -15,6 +16,10 @@ from warp_rigid.kernels.joints.joint_rows import add_velocity, apply_solution, i
 from warp_rigid.kernels.schema import Motions
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+CROSS = wp.constant(wp.float64(1.0 - 2.0**-10))
+"""Factor on cross responses. Bodies that joints hold to each other have no relative motion along some axes, and no
+effective mass there without it."""
 
 
 @wp.func
@@ -69,17 +74,18 @@ def solve_for(m: int, b: int, impulse: vec6d, column: int, team: Team, joints: J
 
 
 @wp.func
-def store_column(m: int, b: int, k: int, joints: Joints):
-    """Store the velocities that a unit impulse along axis k gives a body: a column of its response."""
+def response_column(m: int, pushed: int, b: int, k: int, joints: Joints):
+    """The velocity that a unit impulse along axis k on a body of a mechanism gives a body of it."""
     unit = vec6d()
     unit[k] = wp.float64(1.0)
-    solve_for(m, b, unit, 1 + k, single_lane(), joints)
+    solve_for(m, pushed, unit, 1 + k, single_lane(), joints)
+    total = vec6d()
+    if pushed == b:
+        total = unit
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
         j = joints.sequence[place]
-        unit -= reaction(j, b, joints.solution[j, 1 + k], joints)
-    velocity = free_velocity(b, unit, joints)
-    for i in range(6):
-        set_entry(joints.response, b, i, k, velocity[i])
+        total -= reaction(j, b, joints.solution[j, 1 + k], joints)
+    return free_velocity(b, total, joints)
 
 
 @wp.func
@@ -88,10 +94,22 @@ def store_response(m: int, b: int, team: Team, joints: Joints):
     if joints.answered[b] == joints.factorizations[m]:
         return
     for k in range(team.lane, 6, team.lanes):
-        store_column(m, b, k, joints)
+        velocity = response_column(m, b, b, k, joints)
+        for i in range(6):
+            set_entry(joints.response, b, i, k, velocity[i])
     sync_team(team)
     if team.lane == 0:
         joints.answered[b] = joints.factorizations[m]
+    sync_team(team)
+
+
+@wp.func
+def store_cross_response(m: int, a: int, b: int, team: Team, joints: Joints):
+    """Store the velocities that unit impulses on a body of a mechanism give another one where the joints hold."""
+    for k in range(team.lane, 6, team.lanes):
+        velocity = response_column(m, a, b, k, joints)
+        for i in range(6):
+            set_entry(joints.cross_response, m, i, k, CROSS * velocity[i])
     sync_team(team)
 
 
