@@ -15,7 +15,7 @@ from tests.random_scenes import POOL, act, first_difference, heap, random_scene,
 from warp_rigid.kernels import declare
 from warp_rigid.kernels.declare import LAYOUTS, Lifetime
 
-SCENES = int(os.environ.get("FORGETTING_SCENES", "20"))
+SCENES = int(os.environ.get("FORGETTING_SCENES", "12"))
 """Random scenes of the long tests; `make fuzz` takes 200."""
 
 FEW = pytest.param((1, 2, 6), marks=pytest.mark.short, id="few")

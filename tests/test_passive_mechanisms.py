@@ -135,7 +135,7 @@ def test_links_whose_anchor_is_switched_off_keep_their_momentum(device):
 @pytest.mark.parametrize(
     "scene",
     [
-        pytest.param(partial(mechanisms.chain, 30), id="chain of 30", marks=pytest.mark.long),
+        pytest.param(partial(mechanisms.chain, 20), id="chain of 20", marks=pytest.mark.long),
         pytest.param(partial(mechanisms.chain, 12), id="chain of 12"),
     ],
 )

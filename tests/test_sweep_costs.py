@@ -92,8 +92,8 @@ wr.sweep(
 @pytest.mark.long
 @pytest.mark.parametrize("form", ["parquet", "zarr"])
 def test_series_are_streamed_in_constant_memory_and_survive_kills(tmp_path, form):
-    """Reduced from 100 000 rows to 1024, each with 241 samples of 4 series."""
-    table, count = tmp_path / "t.parquet", 1024
+    """Reduced from 100 000 rows to 512, each with 241 samples of 4 series."""
+    table, count = tmp_path / "t.parquet", 512
     folder = tmp_path / "s.zarr" if form == "zarr" else table.with_suffix(".series")
     (tmp_path / "many.py").write_text(PROGRAM)
 
@@ -107,6 +107,8 @@ def test_series_are_streamed_in_constant_memory_and_survive_kills(tmp_path, form
         process = start(table, given)
         for _ in range(batches):
             process.stdout.readline()
+        while not table.exists() and process.poll() is None:
+            time.sleep(0.05)
         time.sleep(0.3)  # in the middle of a batch
         os.kill(process.pid, signal.SIGKILL)
         process.communicate()

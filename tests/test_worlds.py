@@ -79,9 +79,9 @@ def test_environments_with_and_without_a_grid_share_a_batch(device, monkeypatch)
     assert_alone(wr.Simulator(made, num_envs=2, device=device), made, 60)
 
 
-@pytest.mark.parametrize("steps", [pytest.param(8, marks=pytest.mark.short), pytest.param(80, marks=pytest.mark.long)])
+@pytest.mark.parametrize("steps", [pytest.param(8, marks=pytest.mark.short), pytest.param(40, marks=pytest.mark.long)])
 def test_built_in_scenes_share_a_batch(device, steps):
-    """All of them for a third of a second; every fifth one for the short form."""
+    """All of them for a sixth of a second; every fifth one for the short form."""
     sizes = {"bodies": 12, "rings": 6, "bones": 6, "height": 4}
     made = []
     for name in scenes.names()[:: 1 if steps > 8 else 5]:
