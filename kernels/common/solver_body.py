@@ -22,7 +22,7 @@ INERTIA = wp.constant(group_of(SolverBodyRecord, "inverse_inertia_xx"))
 PUSH = wp.constant(group_of(SolverBodyRecord, "push_linear"))
 START = wp.constant(group_of(SolverBodyRecord, "start_linear"))
 UNDER_LOAD = wp.constant(group_of(SolverBodyRecord, "loaded_linear"))
-UNSOLVED = wp.constant(group_of(SolverBodyRecord, "unsolved_linear"))
+BEFORE_CONTACTS = wp.constant(group_of(SolverBodyRecord, "unsolved_linear"))
 """First group of each velocity: the linear velocity, followed by the angular velocity."""
 
 
@@ -95,7 +95,7 @@ def load_velocity(b: int, which: int, motions: Motions):
 
 @wp.func
 def store_velocity(b: int, which: int, linear: wp.vec3, angular: wp.vec3, motions: Motions):
-    """Store one of a body's additional velocities: PUSH, START, UNDER_LOAD or UNSOLVED."""
+    """Store one of a body's additional velocities: PUSH, START, UNDER_LOAD or BEFORE_CONTACTS."""
     write_solver_body(motions.solver_bodies, b, which, linear, 0.0)
     write_solver_body(motions.solver_bodies, b, which + 1, angular, 0.0)
 
@@ -121,7 +121,7 @@ def load_bodies(a: int, b: int, share_a: float, share_b: float, motions: Motions
 
 @wp.func
 def with_velocities(a: int, b: int, which: int, pair: BodyPair, motions: Motions):
-    """The pair with its velocities replaced by PUSH, START, UNDER_LOAD or UNSOLVED."""
+    """The pair with its velocities replaced by PUSH, START, UNDER_LOAD or BEFORE_CONTACTS."""
     pair.linear_a = load_velocity(a, which, motions)
     pair.angular_a = load_velocity(a, which + 1, motions)
     pair.linear_b = load_velocity(b, which, motions)

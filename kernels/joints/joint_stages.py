@@ -54,7 +54,7 @@ from warp_rigid.kernels.schema import (
 )
 from warp_rigid.kernels.solve.gauss_seidel import (
     report_sweeps,
-    store_unsolved,
+    store_before_contacts,
     sweep,
     sweeps_of,
 )
@@ -212,7 +212,7 @@ def warm_start_with_joints(
         first_row = constraints.first_row[constraints.start[team.env]]
         choose_turns(first, last, first_row, team, order, graph, motions, joints, visits)
     if envs.warm_starting[team.env] == 1:
-        store_unsolved(team, envs, motions)
+        store_before_contacts(team, envs, motions)
         warm_start_others(team, order, motions, contacts, joints)
 
 

@@ -6,7 +6,7 @@ constraint's rows.
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import UNSOLVED, load_bodies, store_bodies, store_velocity
+from warp_rigid.kernels.common.solver_body import BEFORE_CONTACTS, load_bodies, store_bodies, store_velocity
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import apply_row, solve_row
 from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
@@ -42,11 +42,11 @@ def warm_start_pair(entry: OrderRecord, motions: Motions, contacts: Contacts):
 
 
 @wp.func
-def store_unsolved(team: Team, envs: Environments, motions: Motions):
+def store_before_contacts(team: Team, envs: Environments, motions: Motions):
     """Store the velocities before the initial impulses are applied."""
     for b in range(envs.first_body[team.env] + team.lane, envs.first_body[team.env + 1], team.lanes):
         body = motions.solver_bodies[b]
-        store_velocity(b, UNSOLVED, body.linear, body.angular, motions)
+        store_velocity(b, BEFORE_CONTACTS, body.linear, body.angular, motions)
     sync_team(team)
 
 
@@ -57,7 +57,7 @@ def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motio
     env = team.env
     if envs.warm_starting[env] == 0:
         return
-    store_unsolved(team, envs, motions)
+    store_before_contacts(team, envs, motions)
     for color in range(order.color_count[env]):
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):

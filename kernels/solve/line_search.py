@@ -18,7 +18,7 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import (
     START,
-    UNSOLVED,
+    BEFORE_CONTACTS,
     load_bodies,
     load_velocity,
     store_velocity,
@@ -73,7 +73,7 @@ def store_before_shock(
 def energy_of(entry: OrderRecord, since: int, motions: Motions, contacts: Contacts):
     """Contribution of a constraint to the two sums [J]: -(v0.M dv + b.dl) and dv.M dv.
 
-    `since`: the velocities v0, START or UNSOLVED.
+    `since`: the velocities v0, START or BEFORE_CONTACTS.
     """
     now = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
     then = with_velocities(entry.body_a, entry.body_b, since, now, motions)
@@ -162,7 +162,7 @@ def accepted_share(island: int, graph: Graph):
 
 @wp.func
 def scale_change(b: int, t: float, since: int, motions: Motions):
-    """Scale the change of a body's velocities since START or UNSOLVED."""
+    """Scale the change of a body's velocities since START or BEFORE_CONTACTS."""
     body = motions.solver_bodies[b]
     linear = load_velocity(b, since, motions)
     angular = load_velocity(b, since + 1, motions)
@@ -230,13 +230,13 @@ def prevent_gain(lanes: int, envs: Environments, order: Order, graph: Graph, mot
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
     clear_sums(first, last, team, graph)
-    store_terms(UNSOLVED, team, order, graph, motions, contacts)
+    store_terms(BEFORE_CONTACTS, team, order, graph, motions, contacts)
     add_terms(team, order, graph, motions)
     leave_joined(first, last, team, graph)
     for b in range(first + team.lane, last, lanes):
         t = share_without_gain(graph.island[b], graph)
         if t < 1.0:
-            scale_change(b, t, UNSOLVED, motions)
+            scale_change(b, t, BEFORE_CONTACTS, motions)
     for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
         entry = entry_at(k, order)
         t = share_without_gain(island_of(entry, motions, graph), graph)
