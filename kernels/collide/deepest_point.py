@@ -1,9 +1,9 @@
 """The deepest point of a flat piece of one body's surface in another body, by its true distance.
 
-The depth of a point is its distance to the other surface, and the search climbs it: from the middle of the piece along
-the slope up to the border of the piece or to the highest point before it, where the tangents at both ends of a bracket
-meet. This is exact at once where two planes meet. On the ridge between them the direction is the shortest mixture of
-both slopes (the aggregate of two cuts of a bundle method), along which the depth grows on both sides.
+The search maximizes the depth, a point's distance to the other surface: from the middle of the piece along the
+gradient, to the border or to the maximum before it, where the tangents at both ends of a bracket meet. This is exact at
+once where two planes meet. On the ridge between them the direction is the shortest mixture of both slopes (the
+aggregate of two cuts of a bundle method), along which the depth grows on both sides.
 
 A round part, which has a closed form, is mapped: each point of a box around it stands for the nearest point of the
 part's surface. As the part is convex, all of its surface is reached, edges and rims included, and the map never

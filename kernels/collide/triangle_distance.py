@@ -7,9 +7,9 @@ crease the interpolated gradient is a mixture of the normals of its faces: both 
 The nodes of the tree are stored depth first. Each states the node that follows its subtree, so that a traversal needs
 no stack and visits the triangles in the same order on every device.
 
-A ball in an inner corner touches several faces at once. Each face on which the foot of its centre lies is a place where
-it touches; of places in similar directions the nearest one counts. Edges and corners that point outward need no place:
-they are samples of the mesh.
+A ball in an inner corner touches several faces at once. Each face that contains the projection of its centre is a
+contact candidate; of those in similar directions the nearest is used. Convex edges and corners are not candidates: they
+are samples of the mesh.
 
 The sign is that of the angle-weighted pseudonormal of the nearest face, side or corner (J. A. Baerentzen and H. Aanaes,
 "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG 11(3), 2005).

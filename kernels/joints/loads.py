@@ -1,11 +1,11 @@
 """Contacts of mechanisms: each impulse acts on the whole mechanism, whose joints hold.
 
-A sweep over the contacts takes the bodies of a mechanism for free ones, and the direct solution then stops them again.
-In both together, a figure of 45 kg that lands on a foot of 1 kg loses a fiftieth of its velocity, and impulses of the
-step before that are too large are reduced as slowly: they would add energy. The contacts of a mechanism are therefore
-solved with the velocity that an impulse causes where the joints hold: the response M^-1 - M^-1 G^T A^-1 G M^-1 of the
-body that is touched. The impulse is then applied to the whole mechanism. Such a visit minimizes the energy over the
-impulses of a pair and of all joints of its mechanisms.
+A sweep over the contacts treats the bodies of a mechanism as free, and the direct solution then stops them. Together
+they take a fiftieth of the velocity of a figure of 45 kg that lands on a foot of 1 kg, and reduce too large impulses of
+the last step as slowly: these would add energy. The contacts of a mechanism are therefore solved with the velocity that
+an impulse causes where the joints hold: the response M^-1 - M^-1 G^T A^-1 G M^-1 of the body that is touched. The
+impulse is then applied to the whole mechanism. Such a visit minimizes the energy over the impulses of a pair and of all
+joints of its mechanisms.
 
 The pairs are visited in turns (turns.py).
 """

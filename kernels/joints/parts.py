@@ -1,4 +1,4 @@
-"""Parts of a step: a mechanism without contacts moves in several equal parts where one does not resolve its motion.
+"""Parts of a step: a mechanism without contacts takes equal substeps where one step does not resolve its motion.
 
 A part is a step of SHAKE: impulses along the rows of the pose at its start, with joints that hold at its end. This
 scheme is symplectic, so that energy does not drift (Leimkuhler and Reich 2004), as long as the masses are those of the

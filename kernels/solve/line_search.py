@@ -17,8 +17,8 @@ increased if t < 1/2. The velocities and impulses of the island are then scaled 
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import (
-    START,
     BEFORE_CONTACTS,
+    START,
     load_bodies,
     load_velocity,
     store_velocity,

@@ -5,10 +5,10 @@ copies with mass m/n (Tonge, Benevolenski and Voroshilov 2012); its new velocity
 wait for each other within a round, and rounds need neither colours nor levels.
 
 Let l be the impulses and v(l) the velocities after them. A round takes (l, v(l)) to better impulses l1. The next round
-starts at y = l1 + b (l1 - l), extrapolated from the results of the last two rounds (Nesterov 1983), with the momentum
-b = (k - 1) / (k + 2) of round k, at most 0.98. Without this limit, momentum diverges slowly, because friction that
-slides is not the gradient of an energy. With it, restarts (O'Donoghue and Candes 2015) were not needed in any scene
-that was measured. The fixed point is the Coulomb problem that sweeps solve, too.
+starts at y = l1 + b (l1 - l), extrapolated from the results of the last two rounds (Nesterov 1983), with the momentum b
+= (k - 1) / (k + 2) of round k, at most 0.98. Without this limit, momentum diverges slowly, because sliding friction is
+not the gradient of an energy. With it, restarts (O'Donoghue and Candes 2015) were not needed in any scene that was
+measured. The fixed point solves the Coulomb problem of the sweeps.
 
 Since v is affine in l, the mean over the copies equals v(y): the velocity before the solve, plus the changes by the
 impulses of all contacts. Each pair stores the changes of its two bodies in slots; the velocity of a
