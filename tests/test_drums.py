@@ -54,6 +54,7 @@ def test_a_box_that_lands_on_a_rotating_wall_stays_inside(device):
     assert max(deepest) < 3e-3
 
 
+@pytest.mark.long
 def test_a_wall_carries_a_box_that_others_hit(device):
     """Boxes that fall onto those which a wall lifts do not press them through the wall."""
     layers = [(0.2 * i - 0.4, 0.2 * j - 0.4, 0.25 * k - 0.125) for k in range(2) for j in range(5) for i in range(5)]

@@ -223,6 +223,7 @@ def zigzag(links, ratio):
     return scene
 
 
+@pytest.mark.long
 def test_a_slack_chain_that_snaps_taut_stays_closed_and_gains_no_energy(device):
     """The links straighten at 70 rad/s within a few steps. With the rows of the start alone, the chain exploded."""
     sim = simulator(zigzag(20, 1000.0), device)
