@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 import warp_rigid as wr
 from warp_rigid import rotations
