@@ -73,3 +73,36 @@ def test_an_armature_is_checked_saved_and_set_per_environment():
     sim = wr.Simulator(scene, num_envs=2, device="cpu")
     sim.set("joint_armature", [[0.25], [0.5]])
     assert sim.get("joint_armature").ravel().tolist() == [0.25, 0.5]
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("armature", [0.5, 2.0])
+def test_an_impact_meets_the_inertia_of_the_rotor(armature, restitution, first):
+    """The speed of a slider after an elastic impact was too low by the factor m / (m + A)."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    struck = scene.add_body(wr.Sphere(0.1), mass=1.0, restitution=restitution)
+    scene.add_joint(wr.PrismaticJoint((1, 0, 0)), struck, armature=armature)
+    shot = {"position": (-0.5, 0, 0), "linear_velocity": (2, 0, 0), "mass": 1.0, "restitution": restitution}
+    ball = scene.add_body(wr.Sphere(0.1), **shot)
+    sim = wr.Simulator(scene, device="cpu", settings=wr.Settings(collision_first=first))
+    sim.step(96)
+    change = 2.0 * (1.0 + restitution) / (2.0 + armature)
+    expected = {struck: change, ball: 2.0 - (1.0 + armature) * change}
+    for body, speed in expected.items():
+        assert sim.get("linear_velocity")[0, body, 0] == pytest.approx(speed, abs=1e-4)
+
+
+def test_a_slider_with_a_rotor_bounces_off_the_ground():
+    """It falls with g m / (m + A), and rises to e^2 of its height."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(), position=(0, 0, -0.6), restitution=0.5)
+    slider = scene.add_body(wr.Sphere(0.1), mass=1.0, restitution=0.5)
+    scene.add_joint(wr.PrismaticJoint((0, 0, 1)), slider, armature=2.0)
+    sim = wr.Simulator(scene, device="cpu")
+    sim.step(130)
+    speeds = []
+    for _ in range(60):
+        sim.step()
+        speeds.append(sim.get("linear_velocity")[0, slider, 2])
+    assert max(speeds) == pytest.approx(0.5 * math.sqrt(2.0 * 9.81 / 3.0 * 0.5), rel=0.01)

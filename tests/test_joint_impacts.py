@@ -148,3 +148,33 @@ def test_bodies_that_a_joint_holds_to_each_other_may_touch(device):
     sim.step(120)
     assert sim.get("linear_velocity")[0, :2, 0] == pytest.approx([2 / 3, 2 / 3], abs=2e-3)
     assert sim.get("linear_velocity")[0, 2, 0] == pytest.approx(-1 / 3, abs=2e-3)
+
+
+def velocity_after_landing(friction, restitution):
+    """Velocity along x and z of a rigid dumbbell that lands on one of its balls, by the impulse at that contact."""
+    tilt, mass = 0.3, 2 * MASS
+    inertia = 2 * MASS * (0.4 * 0.1**2 + 0.5**2)
+    x, z = -0.5 * np.cos(tilt), -0.5 * np.sin(tilt) - 0.1
+    inverse = np.array([[1 / mass + z * z / inertia, -x * z / inertia], [-x * z / inertia, 1 / mass + x * x / inertia]])
+    stop = 2.0 * (1.0 + restitution)
+    impulse = np.linalg.solve(inverse, [-1.0, stop])
+    if abs(impulse[0]) > friction * impulse[1]:
+        impulse = stop / (inverse[1, 1] - friction * inverse[0, 1]) * np.array([-friction, 1.0])
+    return np.array([1.0, -2.0]) + impulse / mass
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("friction", [0.1, 0.3])
+def test_welded_balls_land_as_a_rigid_dumbbell(device, friction, restitution):
+    """Without restitution they kept half of the velocity that friction takes."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_static(wr.Plane(), friction=friction, restitution=restitution)
+    place, apart = np.array([0, 0, 0.3]), 1.0 * np.array([np.cos(0.3), 0, np.sin(0.3)])
+    moving = {"linear_velocity": (1, 0, -2), "mass": MASS, "friction": friction, "restitution": restitution}
+    first = scene.add_body(wr.Sphere(0.1), position=place, **moving)
+    second = scene.add_body(wr.Sphere(0.1), position=place + apart, **moving)
+    scene.add_joint(wr.FixedJoint(), first, second, anchor=place + 0.5 * apart)
+    sim = wr.Simulator(scene, device=device)
+    sim.step(31)
+    found = sim.get("linear_velocity")[0, 1:].mean(axis=0)[[0, 2]]
+    np.testing.assert_allclose(found, velocity_after_landing(friction, restitution), atol=1e-3)

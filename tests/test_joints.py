@@ -383,3 +383,31 @@ def test_a_gyroscope_keeps_its_spin(device):
         spin = rotations.rotate(rotations.inverse(turn), sim.get("angular_velocity")[0, disc])
         assert spin[2] == pytest.approx(60.0, rel=1e-4)
     assert anchor_errors(sim).max() < 1e-6
+
+
+def test_a_joint_that_holds_nothing_has_no_force(device):
+    """After it has broken, and while one of its bodies is inactive."""
+    scene = wr.Scene()
+    broken = scene.add_body(wr.Sphere(0.05), mass=1.0)
+    scene.add_joint(wr.FixedJoint(), broken, break_force=9.0)
+    held = scene.add_body(wr.Sphere(0.05), position=(1, 0, 0), mass=1.0)
+    scene.add_joint(wr.FixedJoint(), held, anchor=(1, 0, 0))
+    sim = wr.Simulator(scene, device=device)
+    sim.step(10)
+    assert sim.get("joint_broken")[0].tolist() == [True, False]
+    np.testing.assert_allclose(sim.get("joint_force")[0, :, 2], [0.0, G], rtol=1e-4)
+    sim.set("active", False, bodies=[held])
+    sim.step(1)
+    assert np.abs(sim.get("joint_force")).max() == 0.0
+
+
+def test_a_slow_motor_does_not_fall_asleep(device):
+    """It is slower than the bodies that sleep."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    box = scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1), mass=1.0)
+    slide = scene.add_joint(wr.PrismaticJoint((1, 0, 0)), box, anchor=(0, 0, 0.1))
+    scene.add_drive(slide, damping=1000.0, target_velocity=0.005)
+    sim = wr.Simulator(scene, device=device, settings=wr.Settings(sleeping=True))
+    sim.step(960)
+    assert sim.get("position")[0, box, 0] == pytest.approx(0.02, rel=2e-3)

@@ -1,14 +1,13 @@
 """Impacts of mechanisms: a body that bounces off a mechanism meets the mass of all its bodies, whose joints hold.
 
 As an impact between single bodies, an elastic ball would leave a door near its hinge with half of its speed: the joint
-takes back what the impact has given to the door. The pairs of mechanisms that have restitution are therefore solved
-with the responses of the bodies (loads.py), one after another. Without restitution, impacts of mechanisms are those of
-single bodies, since the contact solver follows.
+takes back what the impact has given to the door, but not the friction of the impact. The pairs of mechanisms are
+therefore solved with the responses of the bodies (loads.py), one after another.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import VELOCITY, BodyPair, first_three, store_bodies
+from warp_rigid.kernels.common.solver_body import VELOCITY, BodyPair, first_three, load_bodies, store_bodies
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import (
@@ -19,7 +18,9 @@ from warp_rigid.kernels.constraints.contact import (
     velocity_change,
 )
 from warp_rigid.kernels.constraints.records import is_active
+from warp_rigid.kernels.enums import JointNumber
 from warp_rigid.kernels.joints.arrays import Joints
+from warp_rigid.kernels.joints.joint_rows import row_velocity
 from warp_rigid.kernels.joints.loads import (
     SWEPT,
     TOUCHED,
@@ -33,12 +34,12 @@ from warp_rigid.kernels.joints.loads import (
     with_responses,
 )
 from warp_rigid.kernels.joints.mechanism import IN_CONTACT
+from warp_rigid.kernels.joints.poses import free_row
 from warp_rigid.kernels.joints.responses import move_mechanism
 from warp_rigid.kernels.schema import Constraints, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.restitution import (
     NO_IMPACT,
     energy_neutral_share,
-    has_restitution,
     next_impact,
     note_impact,
     set_targets,
@@ -51,23 +52,30 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
-def can_bounce(entry: OrderRecord, contacts: Contacts, joints: Joints):
-    """Whether a pair belongs to a mechanism and has restitution."""
-    return is_visited(entry, joints) and has_restitution(entry.begin, entry.end, contacts)
-
-
-@wp.func
-def leave_out_bouncing(team: Team, order: Order, contacts: Contacts, joints: Joints):
-    """Leave the pairs of mechanisms that have restitution out of the other impacts. Returns 1 if there are any."""
+def leave_out_joined(team: Team, order: Order, joints: Joints):
+    """Leave the pairs of mechanisms out of the other impacts. Returns 1 if there are any."""
     found = int(0)
     for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
         joints.loaded[m] = wp.where(joints.activity[m] == IN_CONTACT, TOUCHED, SWEPT)
     sync_team(team)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
-        if can_bounce(entry_at(k, order), contacts, joints):
+        if is_visited(entry_at(k, order), joints):
             order.entries[k].visited = SKIPPED
             found = 1
     return any_of_team(found, team)
+
+
+@wp.func
+def add_rotor_speeds(sign: float, team: Team, motions: Motions, joints: Joints):
+    """Add the speeds of the coordinates that have an armature to those at the start of the step, or subtract them.
+
+    Both around the impacts, which change the speed of the rotor as that of the coordinate.
+    """
+    for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
+        if joints.numbers[j, JointNumber.ARMATURE] > 0.0 and joints.broken[j] == 0:
+            speed = row_velocity(j, free_row(joints.coordinate[j]), motions, joints)
+            joints.speed[j] = joints.speed[j] + wp.float64(sign) * speed
+    sync_team(team)
 
 
 @wp.func
@@ -100,12 +108,10 @@ def with_share(share: float, before: BodyPair, visit: Visit):
 def bounce_alone(
     entry: OrderRecord, dt: float, relative_pull: wp.vec3, motions: Motions, contacts: Contacts, joints: Joints
 ):
-    """One lane solves the impacts of a pair with its responses, as `solve_impact`. Returns 1 if there was any."""
+    """One lane solves the impacts of a pair with its responses, as `after_impact`."""
     visit = open_visit(entry, motions, joints)
     before = visit.pair
     unit = motions.velocity_unit[visit.a]
-    if set_targets(entry.begin, entry.end, unit, before, relative_pull, dt, contacts) == 0:
-        return 0
     left = int(IMPACT_ITERATIONS)
     while left > 0:
         visit.change = 0.0
@@ -117,7 +123,6 @@ def bounce_alone(
     visit = with_share(share, before, visit)
     store_bodies(visit.a, visit.b, visit.pair, motions)
     store_impulses(visit, joints)
-    return 1
 
 
 @wp.func
@@ -149,15 +154,20 @@ def bounce_pair(
     joints: Joints,
 ):
     """Lanes solve the impacts of a pair where the joints hold. Returns 1 if there was any."""
-    answer_pair(entry, part, joints)
+    pull = float(first) * (motions.acceleration[entry.body_a] - motions.acceleration[entry.body_b])
+    unit = motions.velocity_unit[entry.body_a]
     hit = int(0)
     if part.lane == 0:
-        pull = float(first) * (motions.acceleration[entry.body_a] - motions.acceleration[entry.body_b])
-        hit = bounce_alone(entry, dt, pull, motions, contacts, joints)
-    hit = any_of_team(hit, part)
-    if hit == 1:
-        move_mechanisms(entry, turn, part, graph, motions, joints)
-    return hit
+        pair = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
+        hit = set_targets(entry.begin, entry.end, unit, pair, pull, dt, contacts)
+    if any_of_team(hit, part) == 0:
+        return 0
+    answer_pair(entry, part, joints)
+    if part.lane == 0:
+        bounce_alone(entry, dt, pull, motions, contacts, joints)
+    sync_team(part)
+    move_mechanisms(entry, turn, part, graph, motions, joints)
+    return 1
 
 
 @wp.func
@@ -172,7 +182,7 @@ def bounce_pairs(
     contacts: Contacts,
     joints: Joints,
 ):
-    """Solve the impacts of all pairs of mechanisms that have restitution, one after another. Returns 1 if any."""
+    """Solve the impacts of all pairs of mechanisms, one after another. Returns 1 if there was any."""
     part = part_of_team(team, MECHANISM_LANES)
     collided = int(0)
     for k in range(constraints.start[team.env], constraints.start[team.env + 1]):
@@ -182,7 +192,7 @@ def bounce_pairs(
             entry.body_b = constraints.body_b[k]
             entry.begin = constraints.first_row[k]
             entry.end = entry.begin + constraints.row_count[k]
-            if can_bounce(entry, contacts, joints):
+            if is_visited(entry, joints):
                 if team.lane < part.lanes:
                     collided |= bounce_pair(entry, turn, dt, first, part, graph, motions, contacts, joints)
                 sync_team(team)

@@ -9,7 +9,7 @@ from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.factor import factorize
-from warp_rigid.kernels.joints.impacts import bounce_pairs, leave_out_bouncing
+from warp_rigid.kernels.joints.impacts import add_rotor_speeds, bounce_pairs, leave_out_joined
 from warp_rigid.kernels.joints.initial_impulses import (
     island_of_joint,
     search_energy,
@@ -169,14 +169,15 @@ def solve_impacts_with_joints(
     contacts: Contacts,
     joints: Joints,
 ):
-    """One team per environment: as `solve_impacts`; those of mechanisms that have restitution follow in each sweep."""
+    """One team per environment: as `solve_impacts`; those of mechanisms follow in each sweep."""
     team = team_of(wp.tid(), lanes)
     env = team.env
     first = envs.collision_first[env]
     left = int(open_impacts(team, envs, order, graph))
-    bounces = int(0)
-    if left > 0:
-        bounces = leave_out_bouncing(team, order, contacts, joints)
+    if left == 0:
+        return
+    bounces = leave_out_joined(team, order, joints)
+    add_rotor_speeds(-1.0, team, motions, joints)
     turn = int(1)
     while left > 0:
         collided = sweep_impacts(turn, dt, first, envs.shock_propagation[env], team, order, graph, motions, contacts)
@@ -186,6 +187,7 @@ def solve_impacts_with_joints(
         left = collided * (left - 1)
         if team.lane == 0:
             graph.impact_sweeps[env] += collided
+    add_rotor_speeds(1.0, team, motions, joints)
 
 
 @wp.kernel
@@ -496,12 +498,16 @@ def close_stopped(dt: float, lanes: int, bodies: Bodies, state: State, motions: 
 
 @wp.kernel
 def end_joints(dt: float, envs: Environments, bodies: Bodies, motions: Motions, joints: Joints, graph: Graph):
-    """One thread per joint, after the position update: its coordinate and impulse, and whether it breaks."""
+    """One thread per joint, after the position update: its impulse, none if it holds nothing, and whether it breaks."""
     j = wp.tid()
     a = joints.body_a[j]
     b = joints.body_b[j]
+    if joints.broken[j] == 1 or motions.role[a] == Role.ABSENT or motions.role[b] == Role.ABSENT:
+        joints.impulse[j] = wp.vec3(0.0, 0.0, 0.0)
+        joints.angular_impulse[j] = wp.vec3(0.0, 0.0, 0.0)
+        return
     free = motions.role[a] == Role.FREE or motions.role[b] == Role.FREE
-    if not free or joints.broken[j] == 1 or envs.failed[bodies.env[a]] == 1:
+    if not free or envs.failed[bodies.env[a]] == 1:
         return
     linear = wp.vec3d()
     angular = wp.vec3d()
@@ -531,15 +537,29 @@ def note_coordinates(lanes: int, state: State, joints: Joints):
         joints.position[j] = float(coordinate_of(joints.coordinate[j], ends_of(j, joints), joints.position[j]))
 
 
+@wp.func
+def is_motor(j: int, joints: Joints):
+    """Whether a joint has a drive with a target velocity."""
+    target = joints.numbers[j, JointNumber.TARGET_VELOCITY] * joints.numbers[j, JointNumber.DAMPING]
+    return target != 0.0 and joints.numbers[j, JointNumber.MAX_FORCE] > 0.0
+
+
 @wp.kernel
 def support_joined(bodies: Bodies, motions: Motions, graph: Graph, joints: Joints, sleep_state: SleepState):
-    """One thread per joint: an island that hangs from the world or a static body counts as supported."""
+    """One thread per joint: an island that hangs from the world or a static body counts as supported.
+
+    An island with a drive that has a target velocity stays awake.
+    """
     j = wp.tid()
     a = joints.body_a[j]
     b = joints.body_b[j]
     upper = wp.where(bodies.motion[a] == Motion.DYNAMIC, a, b)
     fixed = joints.to_world[j] == 1 or bodies.motion[a] != Motion.DYNAMIC or bodies.motion[b] != Motion.DYNAMIC
-    if joints.broken[j] == 1 or not fixed or motions.role[upper] != Role.FREE:
+    if joints.broken[j] == 1 or motions.role[upper] != Role.FREE:
+        return
+    if is_motor(j, joints):
+        sleep_state.keeps_awake[graph.island[upper]] = 1
+    if not fixed:
         return
     if motions.role[a] == Role.KINEMATIC or motions.role[b] == Role.KINEMATIC:
         sleep_state.keeps_awake[graph.island[upper]] = 1

@@ -28,7 +28,8 @@ class Settings:
             most 30 times. `Simulator.stats` reports the sweeps.
         shock_iterations: repetitions of shock propagation.
         shock_propagation: "off", "one_pass" (Guendelman et al. 2003) or "two_pass" (with a line search, the default).
-        collision_first: True solves impacts before the velocity update (as Guendelman et al.), False after it.
+        collision_first: True solves impacts before the velocity update (as Guendelman et al.). False, for comparison,
+            solves them after it: resting bodies with restitution hop, and rolling friction does not act on them.
         warm_starting: True starts from the impulses of the last step, False from zero (as Guendelman et al.).
         edge_samples: whether edges generate contacts; False uses only vertices, faces and balls.
         sleeping: whether islands at rest fall asleep; they then cost little until one of their bodies is disturbed.

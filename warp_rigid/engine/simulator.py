@@ -359,7 +359,7 @@ class Simulator:
 
         The normal points from body_b to body_a, the impulse [N s] acts on body_a, and the depth [m] is positive inside.
         Contacts with a negative depth were gaps at the start of the step, which could close in it; their impulse is 0
-        if they did not.
+        if they did not. Impulses of impacts, which act before those of contacts, are left out; `watched` includes them.
         """
         return step_reports.contact_records(self._world)
 
