@@ -169,6 +169,10 @@ others."""
 IMPACT_ITERATIONS = wp.constant(8)
 """Maximum rounds over the contacts of a pair per impact."""
 
+GROUP_SWEEPS = wp.constant(16)
+"""Maximum sweeps over a group of simultaneous impacts. In a box that lands on two tiles, 4 sweeps leave an error of
+3 mm/s, 8 of 1e-6 m/s."""
+
 SLOWEST = wp.constant(2.5e-3)
 """Approach speed below which a contact is not an impact [velocity units]."""
 

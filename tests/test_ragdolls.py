@@ -45,10 +45,10 @@ def test_the_energy_of_a_ragdoll_without_damping_does_not_grow(device):
 
 
 def test_the_energy_of_ragdolls_that_land_hardly_grows(device):
-    """Of 240 J, they gain up to 2.6 J in a step in which they fold up; 0.25 J on average over the heights."""
-    sim = ragdoll(device, count=60)
+    """Of 240 J, they gain up to 1.7 J in a step in which they fold up; 0.2 J on average over the heights."""
+    sim = ragdoll(device, count=20)
     position = sim.get("position")
-    position[:, 1:, 2] += np.linspace(0.01, 0.2, 60)[:, None]
+    position[:, 1:, 2] += np.linspace(0.01, 0.2, 20)[:, None]
     sim.set("position", position)
     gains = largest_gains(sim, 480)
     assert gains.mean() < 0.4 and gains.max() < 3.4

@@ -1,8 +1,9 @@
 """Impacts of mechanisms: a body that bounces off a mechanism meets the mass of all its bodies, whose joints hold.
 
 As an impact between single bodies, an elastic ball would leave a door near its hinge with half of its speed: the joint
-takes back what the impact has given to the door, but not the friction of the impact. The pairs of mechanisms are
-therefore solved with the responses of the bodies (loads.py), one after another.
+takes back what the impact has given to the door. The pairs of mechanisms that have restitution are therefore solved
+with the responses of the bodies (loads.py), one after another. Without restitution, impacts of mechanisms are those of
+single bodies, since the contact solver follows.
 """
 
 import warp as wp
@@ -37,9 +38,10 @@ from warp_rigid.kernels.joints.mechanism import IN_CONTACT
 from warp_rigid.kernels.joints.poses import free_row
 from warp_rigid.kernels.joints.responses import move_mechanism
 from warp_rigid.kernels.schema import Constraints, Contacts, Graph, Motions, Order, OrderRecord
-from warp_rigid.kernels.solve.restitution import (
+from warp_rigid.kernels.solve.pair_impact import (
     NO_IMPACT,
     energy_neutral_share,
+    has_restitution,
     next_impact,
     note_impact,
     set_targets,
@@ -52,14 +54,20 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
-def leave_out_joined(team: Team, order: Order, joints: Joints):
-    """Leave the pairs of mechanisms out of the other impacts. Returns 1 if there are any."""
+def can_bounce(entry: OrderRecord, contacts: Contacts, joints: Joints):
+    """Whether a pair belongs to a mechanism and has restitution."""
+    return is_visited(entry, joints) and has_restitution(entry.begin, entry.end, contacts)
+
+
+@wp.func
+def leave_out_joined(team: Team, order: Order, contacts: Contacts, joints: Joints):
+    """Leave the pairs of mechanisms that have restitution out of the other impacts. Returns 1 if there are any."""
     found = int(0)
     for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
         joints.loaded[m] = wp.where(joints.activity[m] == IN_CONTACT, TOUCHED, SWEPT)
     sync_team(team)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
-        if is_visited(entry_at(k, order), joints):
+        if can_bounce(entry_at(k, order), contacts, joints):
             order.entries[k].visited = SKIPPED
             found = 1
     return any_of_team(found, team)
@@ -69,7 +77,7 @@ def leave_out_joined(team: Team, order: Order, joints: Joints):
 def add_rotor_speeds(sign: float, team: Team, motions: Motions, joints: Joints):
     """Add the speeds of the coordinates that have an armature to those at the start of the step, or subtract them.
 
-    Both around the impacts, which change the speed of the rotor as that of the coordinate.
+    Both around the impacts where the joints hold, which change the speed of the rotor as that of the coordinate.
     """
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
         if joints.numbers[j, JointNumber.ARMATURE] > 0.0 and joints.broken[j] == 0:
@@ -182,7 +190,7 @@ def bounce_pairs(
     contacts: Contacts,
     joints: Joints,
 ):
-    """Solve the impacts of all pairs of mechanisms, one after another. Returns 1 if there was any."""
+    """Solve the impacts of all pairs of mechanisms that have restitution, one after another. Returns 1 if any."""
     part = part_of_team(team, MECHANISM_LANES)
     collided = int(0)
     for k in range(constraints.start[team.env], constraints.start[team.env + 1]):
@@ -192,7 +200,7 @@ def bounce_pairs(
             entry.body_b = constraints.body_b[k]
             entry.begin = constraints.first_row[k]
             entry.end = entry.begin + constraints.row_count[k]
-            if is_visited(entry, joints):
+            if can_bounce(entry, contacts, joints):
                 if team.lane < part.lanes:
                     collided |= bounce_pair(entry, turn, dt, first, part, graph, motions, contacts, joints)
                 sync_team(team)

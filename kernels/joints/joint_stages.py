@@ -59,8 +59,9 @@ from warp_rigid.kernels.solve.gauss_seidel import (
     sweeps_of,
 )
 from warp_rigid.kernels.solve.line_search import FIXED_POINT, accepted_share, searched
-from warp_rigid.kernels.solve.restitution import open_impacts, sweep_impacts
+from warp_rigid.kernels.solve.restitution import bounce_groups, open_impacts, sweep_impacts
 from warp_rigid.kernels.solve.shock import is_propagated
+from warp_rigid.kernels.solve.simultaneous_impacts import find_bouncing
 from warp_rigid.kernels.tuning import CONVERGED, PUSH_OUT_CONVERGED, PUSH_OUT_SWEEPS
 from warp_rigid.kernels.update.integrate import rotational_energy
 
@@ -169,25 +170,29 @@ def solve_impacts_with_joints(
     contacts: Contacts,
     joints: Joints,
 ):
-    """One team per environment: as `solve_impacts`; those of mechanisms follow in each sweep."""
+    """One team per environment: as `solve_impacts`; those of mechanisms that have restitution follow in each sweep."""
     team = team_of(wp.tid(), lanes)
     env = team.env
     first = envs.collision_first[env]
     left = int(open_impacts(team, envs, order, graph))
     if left == 0:
         return
-    bounces = leave_out_joined(team, order, joints)
-    add_rotor_speeds(-1.0, team, motions, joints)
+    joined = leave_out_joined(team, order, contacts, joints)
+    sync_team(team)
+    bounces = find_bouncing(team, order, graph, motions, contacts)
     turn = int(1)
     while left > 0:
-        collided = sweep_impacts(turn, dt, first, envs.shock_propagation[env], team, order, graph, motions, contacts)
+        collided = sweep_impacts(turn, dt, envs, team, order, graph, motions, contacts)
         turn += order.color_count[env] + 1
         if bounces == 1:
+            collided |= bounce_groups(turn, dt, envs, team, order, graph, motions, contacts)
+        if joined == 1:
+            add_rotor_speeds(-1.0, team, motions, joints)
             collided |= bounce_pairs(turn, dt, first, team, constraints, graph, motions, contacts, joints)
+            add_rotor_speeds(1.0, team, motions, joints)
         left = collided * (left - 1)
         if team.lane == 0:
             graph.impact_sweeps[env] += collided
-    add_rotor_speeds(1.0, team, motions, joints)
 
 
 @wp.kernel

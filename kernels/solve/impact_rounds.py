@@ -11,7 +11,7 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import load_bodies
 from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
 from warp_rigid.kernels.schema import Contacts, Environments, Motions
-from warp_rigid.kernels.solve.restitution import after_impact, has_restitution, set_targets
+from warp_rigid.kernels.solve.pair_impact import after_impact, has_restitution, set_targets
 from warp_rigid.kernels.solve.rounds import (
     list_round_pair,
     read_round_pair,

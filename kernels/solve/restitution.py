@@ -2,36 +2,20 @@
 
 A body at rest has no velocity here, as gravity is added later. Resting bodies therefore do not bounce, and no threshold
 speed is needed. Only approaching contacts that would close within the step take part; resting contacts are left to the
-contact solver, and so are impacts without restitution in a pile that moves. All contacts of a pair are solved together:
-the target normal velocity of each is -e times its approach velocity, normal impulses are not negative, friction stays
-within its cone, and the impulse of the pair is scaled down if it would increase the energy. Pairs are solved one after
-another, so an impact propagates along a row of spheres.
+contact solver, and so are impacts without restitution in a pile that moves.
 
-The velocity of symplectic Euler lags behind by half a step of acceleration, and the impact is solved up to one step
-before the surfaces meet. Reflecting the velocity as it is would change the bounce height by |v| dt. Instead, the
-velocity is centred in time, extrapolated over the gap, reflected, and extrapolated back: with the centred approach
-speed v and the acceleration p that closes the gap g, the rebound speed is sqrt(e^2 (v^2 + 2 p g) - 2 p g). The centring
-is reduced for the slowest impacts, so that resting bodies stay at rest. An impact too weak to rebound over the gap is
-left to the contact solver, and bounces once it has landed.
+Pairs without restitution are solved one after another (pair_impact.py). The impulse of a pair is scaled down if it
+would increase the energy. Pairs with restitution that approach at the same time are solved together
+(simultaneous_impacts.py).
 """
 
 import warp as wp
 
-from warp_rigid.kernels.common.arithmetic import quotient
-from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies, store_bodies, with_impulse
-from warp_rigid.kernels.common.tangents import world_vector
+from warp_rigid.kernels.common.solver_body import load_bodies, store_bodies
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
-from warp_rigid.kernels.constraints.contact import (
-    IMPACT_IMPULSE,
-    contact_velocity,
-    friction_impulse,
-    read_contact,
-    read_impulse,
-    set_target_impulse,
-    velocity_change,
-)
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
-from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.solve.pair_impact import after_impact, relative_pull, set_targets
 from warp_rigid.kernels.solve.schedule import (
     entry_at,
     first_of_color,
@@ -41,164 +25,19 @@ from warp_rigid.kernels.solve.schedule import (
     solved_turn,
     stride_of_color,
 )
-from warp_rigid.kernels.tuning import CONVERGED, IMPACT_ITERATIONS, SLOWEST
+from warp_rigid.kernels.solve.simultaneous_impacts import bounce_together, find_bouncing
 
 wp.set_module_options({"enable_backward": False})
 
-NO_IMPACT = wp.constant(-1.0e10)
-"""Target velocity of a contact without an impact in this step [m/s]."""
+GROUPS = wp.constant(2)
+"""Groups of simultaneous impacts per sweep over impacts: a sweep passes an impact on by two spheres of a row."""
 
 
 @wp.func
-def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
-    """Target normal velocity of a contact approaching at `speed`, or NO_IMPACT. `pull`: approach acceleration."""
-    if row.bias_velocity > speed + dt * pull:
-        return NO_IMPACT
-    e = row.restitution
-    if e == 0.0:
-        return -row.bias_velocity
-    lag = 0.5 * dt * pull * wp.min(speed / wp.max(dt * pull, 1.0e-9), 1.0)
-    fall = 2.0 * pull * wp.max(row.gap, 0.0)
-    squared = e * e * ((speed + lag) * (speed + lag) + fall) - fall
-    if squared <= 0.0:
-        return NO_IMPACT
-    return wp.sqrt(squared) + lag
-
-
-@wp.func
-def set_targets(
-    begin: int, end: int, unit: float, pair: BodyPair, relative_pull: wp.vec3, dt: float, contacts: Contacts
-):
-    """Set the target velocities of the pair's contacts. Returns 1 if there is an impact."""
-    colliding = int(0)
-    for c in range(begin, end):
-        row = read_contact(c, contacts.rows)
-        speed = -wp.dot(contact_velocity(row, pair), row.normal)
-        target = float(NO_IMPACT)
-        if speed >= SLOWEST * unit:
-            target = rebound(row, speed, wp.max(-wp.dot(relative_pull, row.normal), 0.0), dt)
-        set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
-        if target > NO_IMPACT:
-            colliding = 1
-    return colliding
-
-
-@wp.func
-def next_impact(stored: wp.vec4, share_a: float, share_b: float, row: ContactRecord, pair: BodyPair):
-    """The impulse that brings the normal velocity to its target, and the slip to zero within the friction cone.
-
-    `stored`: the impulse so far, and the target. The shares are factors on the inverse masses of the bodies.
-    """
-    n = row.normal
-    u = row.tangent
-    v = wp.cross(n, u)
-    old = first_three(stored)
-    slip = contact_velocity(row, pair)
-    k_normal = share_a * row.normal_a + share_b * row.normal_b
-    normal = wp.max(old[0] + quotient(stored[3] - wp.dot(slip, n), k_normal), 0.0)
-    gained = normal - old[0]
-    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + gained * (share_a * row.coupling_a + share_b * row.coupling_b)
-    k = share_a * row.tangent_a + share_b * row.tangent_b
-    before = wp.vec2(old[1], old[2])
-    after = friction_impulse(before, sliding, k, row.friction * normal)
-    return wp.vec3(normal, after[0], after[1])
-
-
-@wp.func
-def collide_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
-    """Update one contact, as `next_impact`."""
-    stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
-    if stored[3] <= NO_IMPACT:
-        return pair
-    row = read_contact(c, contacts.rows)
-    new = next_impact(stored, share_a, share_b, row, pair)
-    change = new - first_three(stored)
-    set_target_impulse(c, new, stored[3], contacts)
-    pair = with_impulse(row.arm_a, row.arm_b, world_vector(row.normal, row.tangent, change), pair)
-    pair.change = wp.max(pair.change, velocity_change(change, share_a, share_b, row))
-    return pair
-
-
-@wp.func
-def energy_neutral_share(begin: int, end: int, before: BodyPair, after: BodyPair, lag: wp.vec3, contacts: Contacts):
-    """Largest factor in [0, 1] on the pair's impulse that does not increase the kinetic energy.
-
-    With a factor s the energy changes by s J.u + s^2 J.du / 2, where u are the time-centred relative velocities before
-    the impact (which differ from the stored ones by `lag`), and du is their change.
-    """
-    linear = float(0.0)
-    quadratic = float(0.0)
-    for c in range(begin, end):
-        stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
-        if stored[3] > NO_IMPACT:
-            row = read_contact(c, contacts.rows)
-            impulse = world_vector(row.normal, row.tangent, first_three(stored))
-            slip = contact_velocity(row, before)
-            linear += wp.dot(impulse, slip + lag)
-            quadratic += 0.5 * wp.dot(impulse, contact_velocity(row, after) - slip)
-    if linear + quadratic <= 0.0 or quadratic <= 0.0:
-        return 1.0
-    return wp.clamp(-linear / quadratic, 0.0, 1.0)
-
-
-@wp.func
-def note_impact(begin: int, end: int, keep: float, contacts: Contacts):
-    """Add the impulse of an impact, of which the share `keep` was applied, to those of its pair in this step."""
-    total = wp.vec3(0.0, 0.0, 0.0)
-    for c in range(begin, end):
-        stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
-        if stored[3] > NO_IMPACT:
-            row = read_contact(c, contacts.rows)
-            total += world_vector(row.normal, row.tangent, first_three(stored))
-    pair = contacts.pair[begin]
-    contacts.impact[pair] = contacts.impact[pair] + keep * total
-
-
-@wp.func
-def after_impact(
-    begin: int,
-    end: int,
-    share_a: float,
-    share_b: float,
-    unit: float,
-    lag: wp.vec3,
-    before: BodyPair,
-    contacts: Contacts,
-):
-    """The bodies after the impacts of all contacts of a pair, whose targets are set; see `energy_neutral_share`."""
-    after = before
-    left = int(IMPACT_ITERATIONS)
-    while left > 0:
-        after.change = 0.0
-        for c in range(begin, end):
-            after = collide_contact(c, share_a, share_b, after, contacts)
-        left = wp.where(after.change > CONVERGED * unit, left - 1, 0)
-    keep = energy_neutral_share(begin, end, before, after, lag, contacts)
-    note_impact(begin, end, keep, contacts)
-    after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
-    after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
-    after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)
-    after.angular_b = before.angular_b + keep * (after.angular_b - before.angular_b)
-    return after
-
-
-@wp.func
-def has_restitution(begin: int, end: int, contacts: Contacts):
-    """Whether any contact of a pair has restitution."""
-    for c in range(begin, end):
-        row = read_contact(c, contacts.rows)
-        if row.restitution > 0.0:
-            return True
-    return False
-
-
-@wp.func
-def is_left_out(entry: OrderRecord, mode: int, graph: Graph, contacts: Contacts):
-    """Whether the impacts of a pair are left to the contact solver: without restitution, in a pile that moves."""
+def is_left_out(entry: OrderRecord, mode: int, graph: Graph):
+    """Whether the impacts of a pair without restitution are left to the contact solver: in a pile that moves."""
     solver = wp.max(graph.solver[entry.body_a], graph.solver[entry.body_b])
-    if mode != ShockMode.TWO_PASS or solver != IslandSolver.SWEEPS:
-        return False
-    return not has_restitution(entry.begin, entry.end, contacts)
+    return mode == ShockMode.TWO_PASS and solver == IslandSolver.SWEEPS
 
 
 @wp.func
@@ -214,21 +53,21 @@ def solve_impact(
     motions: Motions,
     contacts: Contacts,
 ):
-    """Solve the impacts of all contacts of a pair together. Returns 1 if there was any."""
+    """Solve the impacts of all contacts of a pair without restitution. Returns 1 if there was any."""
     entry = entry_at(k, order)
     if is_done(entry, graph):
         return 0
     order.entries[k].visited = solved
-    if is_left_out(entry, mode, graph, contacts):
+    if is_left_out(entry, mode, graph):
         return 0
     a = entry.body_a
     b = entry.body_b
     before = load_bodies(a, b, 1.0, 1.0, motions)
-    relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
+    pull = relative_pull(entry, first, motions)
     unit = motions.velocity_unit[a]
-    if set_targets(entry.begin, entry.end, unit, before, relative_pull, dt, contacts) == 0:
+    if set_targets(entry.begin, entry.end, unit, before, pull, dt, contacts) == 0:
         return 0
-    lag = 0.5 * dt * relative_pull
+    lag = 0.5 * dt * pull
     after = after_impact(entry.begin, entry.end, 1.0, 1.0, unit, lag, before, contacts)
     store_bodies(a, b, after, motions)
     order.entries[k].visited = turn - 1
@@ -241,15 +80,16 @@ def solve_impact(
 def sweep_impacts(
     turn: int,
     dt: float,
-    first: int,
-    mode: int,
+    envs: Environments,
     team: Team,
     order: Order,
     graph: Graph,
     motions: Motions,
     contacts: Contacts,
 ):
-    """Solve the impacts of all pairs once, in the turns after `turn`. Returns 1 if there was any."""
+    """Solve the impacts of all pairs without restitution once, in the turns after `turn`. Returns 1 if any."""
+    first = envs.collision_first[team.env]
+    mode = envs.shock_propagation[team.env]
     collided = int(0)
     for color in range(order.color_count[team.env]):
         turn += 1
@@ -260,6 +100,30 @@ def sweep_impacts(
             )
         sync_team(team)
     return any_of_team(collided, team)
+
+
+@wp.func
+def bounce_groups(
+    turn: int,
+    dt: float,
+    envs: Environments,
+    team: Team,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    contacts: Contacts,
+):
+    """Solve the next groups of simultaneous impacts. Returns 1 if there were any."""
+    first = envs.collision_first[team.env]
+    begin = envs.first_body[team.env]
+    end = envs.first_body[team.env + 1]
+    collided = int(0)
+    left = int(GROUPS)
+    while left > 0:
+        found = bounce_together(turn, dt, first, begin, end, team, order, graph, motions, contacts)
+        collided |= found
+        left = found * (left - 1)
+    return collided
 
 
 @wp.func
@@ -283,15 +147,19 @@ def solve_impacts(
     motions: Motions,
     contacts: Contacts,
 ):
-    """One team per environment: sweeps of pairwise impacts until there are none, at most `collision_iterations`."""
+    """One team per environment: sweeps of impacts until there are none, at most `collision_iterations`."""
     team = team_of(wp.tid(), lanes)
     env = team.env
-    first = envs.collision_first[env]
     left = int(open_impacts(team, envs, order, graph))
+    if left == 0:
+        return
+    bounces = find_bouncing(team, order, graph, motions, contacts)
     turn = int(1)
     while left > 0:
-        collided = sweep_impacts(turn, dt, first, envs.shock_propagation[env], team, order, graph, motions, contacts)
-        turn += order.color_count[env]
+        collided = sweep_impacts(turn, dt, envs, team, order, graph, motions, contacts)
+        turn += order.color_count[env] + 1
+        if bounces == 1:
+            collided |= bounce_groups(turn, dt, envs, team, order, graph, motions, contacts)
         left = collided * (left - 1)
         if team.lane == 0:
             graph.impact_sweeps[env] += collided
