@@ -44,6 +44,7 @@ from warp_rigid.kernels.solve.pair_impact import (
     has_restitution,
     next_impact,
     note_impact,
+    relative_pull,
     set_targets,
 )
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, note_change
@@ -113,9 +114,7 @@ def with_share(share: float, before: BodyPair, visit: Visit):
 
 
 @wp.func
-def bounce_alone(
-    entry: OrderRecord, dt: float, relative_pull: wp.vec3, motions: Motions, contacts: Contacts, joints: Joints
-):
+def bounce_alone(entry: OrderRecord, dt: float, pull: wp.vec3, motions: Motions, contacts: Contacts, joints: Joints):
     """One lane solves the impacts of a pair with its responses, as `after_impact`."""
     visit = open_visit(entry, motions, joints)
     before = visit.pair
@@ -126,7 +125,7 @@ def bounce_alone(
         for c in range(entry.begin, entry.end):
             visit = bounce_contact(c, visit, contacts, joints)
         left = wp.where(visit.change > CONVERGED * unit, left - 1, 0)
-    share = energy_neutral_share(entry.begin, entry.end, before, visit.pair, 0.5 * dt * relative_pull, contacts)
+    share = energy_neutral_share(entry.begin, entry.end, before, visit.pair, 0.5 * dt * pull, contacts)
     note_impact(entry.begin, entry.end, share, contacts)
     visit = with_share(share, before, visit)
     store_bodies(visit.a, visit.b, visit.pair, motions)
@@ -162,7 +161,7 @@ def bounce_pair(
     joints: Joints,
 ):
     """Lanes solve the impacts of a pair where the joints hold. Returns 1 if there was any."""
-    pull = float(first) * (motions.acceleration[entry.body_a] - motions.acceleration[entry.body_b])
+    pull = relative_pull(entry, first, motions)
     unit = motions.velocity_unit[entry.body_a]
     hit = int(0)
     if part.lane == 0:
