@@ -457,7 +457,12 @@ OrderRecord = packed_record(
     end=Field(int, "", "", "one past the last row"),
     upper_a=Field(int, "", "", "0: the first body has a lower level than the second, 1: it has not"),
     upper_b=Field(int, "", "", "0: the second body has a lower level than the first, 1: it has not"),
-    visited=Field(int, "", "", "colour visit in which restitution or shock propagation last solved it; 0 if none yet"),
+    visited=Field(
+        int,
+        "",
+        "",
+        "colour visit in which restitution or shock propagation last solved it; 0: none yet, from SKIPPED on: none",
+    ),
 )
 
 Graph = layout(
