@@ -55,4 +55,4 @@ class RagdollOutcome(ClosedJointsOutcome):
 
 SUMMARY = "ragdolls fall into a pit and come to rest; no joint opens and none escapes"
 outcome = RagdollOutcome
-DURATION = 5.0
+DURATION = 8.0
