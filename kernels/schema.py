@@ -157,8 +157,8 @@ SolverBodyRecord = packed_record(
     start_angular=Field(wp.vec3, "", "rad/s", "angular velocity before shock propagation"),
     loaded_linear=Field(wp.vec3, "", "m/s", "velocity under the load of the bodies above (shock.py)"),
     loaded_angular=Field(wp.vec3, "", "rad/s", "angular velocity under the load of the bodies above"),
-    unsolved_linear=Field(wp.vec3, "", "m/s", "velocity before the contact solver"),
-    unsolved_angular=Field(wp.vec3, "", "rad/s", "angular velocity before the contact solver"),
+    before_contacts_linear=Field(wp.vec3, "", "m/s", "velocity before the contact solver"),
+    before_contacts_angular=Field(wp.vec3, "", "rad/s", "angular velocity before the contact solver"),
 )
 
 Motions = layout(

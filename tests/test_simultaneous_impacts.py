@@ -6,12 +6,15 @@ import pytest
 import warp_rigid as wr
 
 
-def dropped(device, tiles, half, restitution, shape):
-    """Velocity and angular velocity of a body after its bounce on floor tiles of a half width at these places."""
-    scene = wr.Scene()
+def dropped(device, tiles, half, restitution, shape, own=None):
+    """Velocity and angular velocity of a body after its bounce on floor tiles of a half width at these places.
+
+    `own`: the restitution of the body, if it is not that of the tiles.
+    """
+    scene = wr.Scene(restitution_combine="max")
     for x in tiles:
         scene.add_static(wr.Box((half, 1, 0.2)), position=(x, 0, -0.2), restitution=restitution)
-    body = scene.add_body(shape, position=(0, 0, 0.4), mass=1.0, restitution=restitution)
+    body = scene.add_body(shape, position=(0, 0, 0.4), mass=1.0, restitution=restitution if own is None else own)
     sim = wr.Simulator(scene, device=device)
     for _ in range(100):
         sim.step()
@@ -29,6 +32,12 @@ def test_a_body_bounces_on_a_seam_as_on_one_tile(device, seam, shape, restitutio
     halves = dropped(device, [seam - 1.0, seam + 1.0], 1.0, restitution, shape)
     assert whole[2] > 0.5 and np.abs(np.delete(whole, 2)).max() < 1e-3
     np.testing.assert_allclose(halves, whole, atol=1e-3)
+
+
+def test_the_restitution_may_be_that_of_the_tiles_alone(device):
+    box = wr.Box((0.2, 0.2, 0.1))
+    expected = dropped(device, [0.0], 2.0, 0.8, box)
+    np.testing.assert_allclose(dropped(device, [-1.0, 1.0], 1.0, 0.8, box, own=0.0), expected, atol=1e-3)
 
 
 def test_a_ball_that_hits_two_leaves_symmetrically(device):

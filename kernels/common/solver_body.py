@@ -22,7 +22,7 @@ INERTIA = wp.constant(group_of(SolverBodyRecord, "inverse_inertia_xx"))
 PUSH = wp.constant(group_of(SolverBodyRecord, "push_linear"))
 START = wp.constant(group_of(SolverBodyRecord, "start_linear"))
 UNDER_LOAD = wp.constant(group_of(SolverBodyRecord, "loaded_linear"))
-BEFORE_CONTACTS = wp.constant(group_of(SolverBodyRecord, "unsolved_linear"))
+BEFORE_CONTACTS = wp.constant(group_of(SolverBodyRecord, "before_contacts_linear"))
 """First group of each velocity: the linear velocity, followed by the angular velocity."""
 
 

@@ -179,7 +179,7 @@ def solve_impacts_with_joints(
         return
     joined = leave_out_joined(team, order, contacts, joints)
     sync_team(team)
-    bounces = find_bouncing(team, order, graph, motions, contacts)
+    bounces = find_bouncing(team, order, contacts)
     turn = int(1)
     while left > 0:
         collided = sweep_impacts(turn, dt, envs, team, order, graph, motions, contacts)

@@ -8,10 +8,10 @@ change, the contact problem's energy f(l) = v.Mv / 2 + b.l along the segment is 
 is computed for each island. The friction cones are convex, so impulses stay admissible, and f never increases. Since
 dv = M^-1 J^T dl, both sums can be computed over the contacts: v0.M dv = sum dl.(J v0) and dv.M dv = sum dl.(J dv).
 
-From the initial impulses on, no stage of the solver increases f. The initial impulses themselves may: those of an
-impact are many times larger than what the next step requires, and a few sweeps do not take all of them back. A second
-search therefore compares the end of the solver with the velocities before it, where all impulses are 0. The energy has
-increased if t < 1/2. The velocities and impulses of the island are then scaled to the minimum.
+The initial impulses of a step may increase f: those of an impact are many times larger than what the next step
+requires, and few sweeps do not reduce all of them. A second search therefore compares the end of the contact solver
+with the velocities before it, where all impulses are 0. The energy has increased if t < 1/2. The velocities and
+impulses of the island are then scaled to the minimum.
 """
 
 import warp as wp

@@ -191,9 +191,8 @@ def after_impact(
 
 @wp.func
 def has_restitution(begin: int, end: int, contacts: Contacts):
-    """Whether any contact of a pair has restitution."""
-    for c in range(begin, end):
-        row = read_contact(c, contacts.rows)
-        if row.restitution > 0.0:
-            return True
-    return False
+    """Whether a pair has restitution, which is the same in all its contacts."""
+    if begin == end:
+        return False
+    row = read_contact(begin, contacts.rows)
+    return row.restitution > 0.0

@@ -153,7 +153,7 @@ def solve_impacts(
     left = int(open_impacts(team, envs, order, graph))
     if left == 0:
         return
-    bounces = find_bouncing(team, order, graph, motions, contacts)
+    bounces = find_bouncing(team, order, contacts)
     turn = int(1)
     while left > 0:
         collided = sweep_impacts(turn, dt, envs, team, order, graph, motions, contacts)

@@ -39,15 +39,14 @@ BOUNCING = wp.constant(SKIPPED + 1)
 
 
 @wp.func
-def find_bouncing(team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+def find_bouncing(team: Team, order: Order, contacts: Contacts):
     """Leave the pairs with restitution out of the other impacts. Returns 1 if there are any."""
     found = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        if entry.visited == 0 and graph.bouncing_votes[island_of(entry, motions, graph)] > 0:
-            if has_restitution(entry.begin, entry.end, contacts):
-                order.entries[k].visited = BOUNCING
-                found = 1
+        if entry.visited == 0 and has_restitution(entry.begin, entry.end, contacts):
+            order.entries[k].visited = BOUNCING
+            found = 1
     return any_of_team(found, team)
 
 
