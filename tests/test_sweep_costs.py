@@ -1,7 +1,6 @@
 """What sweeps cost: different geometry, observers, time by phase, and memory of long sweeps that are killed."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -63,6 +62,7 @@ def test_the_time_of_a_sweep_is_told_by_phase():
 
 PROGRAM = """
 import sys
+import time
 
 import numpy as np
 import warp_rigid as wr
@@ -78,6 +78,7 @@ def ball(height: float = 1.0):
 def report(done, total):
     pages = int(open("/proc/self/statm").read().split()[1])
     print(done, 4096 * pages, flush=True)
+    time.sleep(float(sys.argv[4]))
 
 
 series = ["energy", "peak_impulse[ball]", "kinetic_energy[ball]", "impacts"]
@@ -97,20 +98,21 @@ def test_series_are_streamed_in_constant_memory_and_survive_kills(tmp_path, form
     folder = tmp_path / "s.zarr" if form == "zarr" else table.with_suffix(".series")
     (tmp_path / "many.py").write_text(PROGRAM)
 
-    def start(output, series):
+    def start(output, series, pause=0.0):
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-        command = [sys.executable, str(tmp_path / "many.py"), str(output), str(count), str(series)]
+        command = [sys.executable, str(tmp_path / "many.py"), str(output), str(count), str(series), str(pause)]
         return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
 
     given = folder if form == "zarr" else ""
     for batches in (2, 3):
-        process = start(table, given)
+        process = start(table, given, pause=0.5)  # on a slow disk, too, it is killed before its end
         for _ in range(batches):
             process.stdout.readline()
-        while not table.exists() and process.poll() is None:
+        # The table is written first without rows, then as often as the time of a write allows.
+        while process.poll() is None and not (table.exists() and read(table).rows):
             time.sleep(0.05)
-        time.sleep(0.3)  # in the middle of a batch
-        os.kill(process.pid, signal.SIGKILL)
+        time.sleep(0.3)
+        process.kill()
         process.communicate()
         kept = {row["run"] for row in read(table).rows}
         assert kept and kept <= set(read_series(folder)["run"].to_pylist())
