@@ -41,7 +41,7 @@ ASSEMBLED = {module.__name__ for module in loading.TEAM_MODULES}
 """Units with inline assembly, which only the assembler checks: it is that of `kernels/common/team.py`. The units of
 joints call the same functions, and take minutes to assemble."""
 
-SLOW = ("settle_joints", "sweep_with_joints", "close_stopped")
+SLOW = ("move_untouched", "settle_joints", "sweep_with_joints", "close_stopped")
 """Kernels that take one to three minutes together to compile, of functions that other kernels of joints call, too."""
 
 

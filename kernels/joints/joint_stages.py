@@ -391,24 +391,30 @@ def push_joined(
 
 
 @wp.kernel
+def move_untouched(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One team per mechanism without contacts: its joints hold at the predicted poses, after a number of parts."""
+    team = team_of(wp.tid(), lanes)
+    if joints.activity[team.env] == UNTOUCHED:
+        move_in_parts(team.env, dt, team, bodies, state, motions, joints)
+
+
+@wp.kernel
 def settle_joints(
     after_push: int, dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints
 ):
-    """One team per mechanism: the joints hold at the predicted poses.
+    """One team per mechanism with contacts: the joints hold at the predicted poses.
 
     Before the sweeps, this is the first solution with the forces of the step. After the push-out (`after_push`), its
-    motion obeys the joints, too.
+    motion obeys the joints, too; mechanisms without contacts whose joints do not hold yet are solved once more.
     """
     team = team_of(wp.tid(), lanes)
     m = team.env
+    if after_push == 0 and joints.activity[m] != IN_CONTACT:
+        return
     if after_push == 1:
         if not needs_solution(m, joints):
             return
         project(m, PUSH, team, motions, joints)
-    elif joints.activity[m] != IN_CONTACT:
-        if joints.activity[m] == UNTOUCHED:
-            move_in_parts(m, dt, team, bodies, state, motions, joints)
-        return
     settle_mechanism(m, dt, after_push, 0, team, bodies, state, motions, joints)
 
 

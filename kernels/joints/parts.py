@@ -284,25 +284,33 @@ def try_parts(
     time = dt / float(parts)
     before = float(dt / float(wp.max(joints.parts[m], 1)))
     early = 0.5 * (before - time)
-    begin_parts(m, 1.0, early, team, bodies, state, motions, joints)
+    scale = float(1.0)
+    begins = int(1)
     failed = int(0)
     part = int(wp.where(before == time or joints.parts[m] == 0, 0, -1))
     while part < parts:
-        if part > 0:
-            end_part(m, time, team, bodies, state, motions, joints)
-            before = time
+        if begins == 1:
+            begin_parts(m, scale, early, team, bodies, state, motions, joints)
+            begins = 0
         start_mechanism(m, dt, parts, team, bodies, motions, joints)
         accelerate(m, time, team, motions, joints)
         failed = settle_mechanism(m, time, 0, exact, team, bodies, state, motions, joints)
         if exact * (1 - failed) == 1 and is_passive(m, team, motions, joints) == 1:
             balance = balance_of(m, before, time, team, bodies, motions, joints)
             if part == -1:
-                begin_parts(m, scale_at_change(balance, before, time), early, team, bodies, state, motions, joints)
+                scale = scale_at_change(balance, before, time)
+                begins = 1
             elif 2 * parts <= MOST_PARTS and is_too_long(balance, dt, time):
                 failed = 1
+        if failed * exact == 1:
+            return 1
+        if begins == 1:
+            part = 0
         else:
-            part = wp.max(part, 0)
-        part = wp.where(failed * exact == 1, parts, part + 1)
+            part = wp.max(part, 0) + 1
+            if parts > 1:
+                end_part(m, time, team, bodies, state, motions, joints)
+                before = time
     return failed
 
 
@@ -338,8 +346,6 @@ def finish_parts(
 ):
     """Leave the motion in parts, and the forces of the last part, to the rest of the step."""
     late = 0.5 * (1.0 / float(wp.max(joints.parts[m], 1)) - 1.0 / float(parts))
-    if parts > 1:
-        end_part(m, dt / float(parts), team, bodies, state, motions, joints)
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         b = joints.member[i]
         if parts > 1:
@@ -356,15 +362,12 @@ def move_in_parts(m: int, dt: float, team: Team, bodies: Bodies, state: State, m
     """Move a mechanism without contacts in as few parts as resolve its motion; in a single one where none do."""
     take_poses(m, team, state, joints)
     parts = int(parts_needed(m, dt, team, bodies, motions, joints))
-    failed = int(1)
-    while failed == 1 and parts <= MOST_PARTS:
-        failed = try_parts(m, dt, parts, 1, team, bodies, state, motions, joints)
-        if failed == 1:
-            parts = 2 * parts
-    exact = 1 - failed
-    if failed == 1:
-        parts = 1
-        failed = try_parts(m, dt, parts, 0, team, bodies, state, motions, joints)
+    exact = int(1)
+    while try_parts(m, dt, parts, exact, team, bodies, state, motions, joints) * exact == 1:
+        parts = 2 * parts
+        if parts > MOST_PARTS:
+            parts = 1
+            exact = 0
     finish_parts(m, dt, parts, team, bodies, state, motions, joints)
     if team.lane == 0:
         joints.parts[m] = exact * parts

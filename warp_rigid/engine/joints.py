@@ -269,6 +269,8 @@ class JointStages:
         if self.present:
             inputs = [step.model.bodies, step.state]
             changed = [step.motions, self.arrays]
+            if after_push == 0:
+                self._per_mechanism(self.kernels.move_untouched, [step.dt], inputs, changed)
             self._per_mechanism(self.kernels.settle_joints, [after_push, step.dt], inputs, changed)
 
     def push_out(self) -> None:
