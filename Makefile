@@ -42,10 +42,10 @@ test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
 	$(PYTEST) -m "quiet and not long" $(QUIET) && exit $$others
 
-# The long tests too, with the coverage of the host code.
+# The long tests too, and the coverage of the host code by the others, without those that measure time.
 test-all: $(READY) $(ROBOTS_READY)
-	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-report=; others=$$?; \
-	$(PYTEST) -m quiet --cov --cov-append --cov-fail-under=90 $(QUIET) && exit $$others
+	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-fail-under=90; others=$$?; \
+	$(PYTEST) -m quiet $(QUIET) && exit $$others
 
 # A part of the tests with each other supported version of Python that is installed, in environments of their own.
 other-pythons:

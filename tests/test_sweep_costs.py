@@ -44,12 +44,12 @@ def test_sizes_cost_little_more_than_frictions():
 
 @pytest.mark.quiet
 def test_observers_cost_little():
-    """Measured: 1 to 5 % of a step; the target is 5 %."""
+    """Measured: 0 to 4 % of a step; the target is 5 %. The median of pairs of runs outlasts a change of the clock."""
     sims = [wr.Simulator(stack(), num_envs=16, device="cpu") for _ in range(2)]
     sims[1].watch([None, 1, (1, 2)])
     rounds = [[processor_seconds(lambda sim=sim: sim.step(60)) for sim in sims] for _ in range(12)]
-    plain, watched = np.array(rounds)[2:].min(axis=0)
-    assert watched < 1.1 * plain
+    plain, watched = np.array(rounds)[2:].T
+    assert np.median(watched / plain) < 1.1
 
 
 def test_the_time_of_a_sweep_is_told_by_phase():

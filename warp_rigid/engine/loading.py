@@ -66,7 +66,7 @@ DIVIDED = (narrowphase.__name__, ccd.__name__, JOINTS)
 optimization of functions that are inlined into each kernel. On a CPU, kernels of a module call the same functions, and
 are compiled together."""
 
-SLOWEST = ("sweep_with_joints", "build_contacts")
+SLOWEST = ("sweep_with_joints", "move_untouched")
 """Kernels of `DIVIDED` that take longest to compile for a GPU."""
 
 
