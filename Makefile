@@ -42,7 +42,7 @@ test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
 	$(PYTEST) -m "quiet and not long" $(QUIET) && exit $$others
 
-# The long tests too, and the coverage of the host code by the others, without those that measure time.
+# The long tests too. The coverage of the host code is that of the tests that are neither long nor measure time.
 test-all: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-fail-under=90; others=$$?; \
 	$(PYTEST) -m quiet $(QUIET) && exit $$others

@@ -120,7 +120,7 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(config, items):
     """Leave out the short form of a test whose long form is run as well, and begin with the longest files.
 
-    Coverage is that of the tests that are not long: following each line makes long simulations up to 1.6 times as long.
+    Coverage leaves out long tests, some of which take 1.6 times as long with it.
     """
     long_ones = {item.function for item in items if item.get_closest_marker("long")}
     repeated = [item for item in items if item.get_closest_marker("short") and item.function in long_ones]

@@ -44,7 +44,7 @@ def test_sizes_cost_little_more_than_frictions():
 
 @pytest.mark.quiet
 def test_observers_cost_little():
-    """Measured: 0 to 4 % of a step; the target is 5 %. The median of pairs of runs outlasts a change of the clock."""
+    """Measured: 0 to 4 % of a step; the target is 5 %. The ratio of neighbouring runs hardly depends on other load."""
     sims = [wr.Simulator(stack(), num_envs=16, device="cpu") for _ in range(2)]
     sims[1].watch([None, 1, (1, 2)])
     rounds = [[processor_seconds(lambda sim=sim: sim.step(60)) for sim in sims] for _ in range(12)]
@@ -105,13 +105,13 @@ def test_series_are_streamed_in_constant_memory_and_survive_kills(tmp_path, form
 
     given = folder if form == "zarr" else ""
     for batches in (2, 3):
-        process = start(table, given, pause=0.5)  # on a slow disk, too, it is killed before its end
+        process = start(table, given, pause=0.5)  # so that it has not ended when the table has rows
         for _ in range(batches):
             process.stdout.readline()
-        # The table is written first without rows, then as often as the time of a write allows.
+        # The first write of the table has no rows. The interval to the next one is ten times the duration of a write.
         while process.poll() is None and not (table.exists() and read(table).rows):
             time.sleep(0.05)
-        time.sleep(0.3)
+        time.sleep(0.3)  # at some point of the next batch
         process.kill()
         process.communicate()
         kept = {row["run"] for row in read(table).rows}

@@ -392,7 +392,7 @@ def push_joined(
 
 @wp.kernel
 def move_untouched(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One team per mechanism without contacts: its joints hold at the predicted poses, after a number of parts."""
+    """One team per mechanism without contacts: it moves in parts of the step, at whose ends the joints hold."""
     team = team_of(wp.tid(), lanes)
     if joints.activity[team.env] == UNTOUCHED:
         move_in_parts(team.env, dt, team, bodies, state, motions, joints)

@@ -285,32 +285,29 @@ def try_parts(
     before = float(dt / float(wp.max(joints.parts[m], 1)))
     early = 0.5 * (before - time)
     scale = float(1.0)
-    begins = int(1)
     failed = int(0)
     part = int(wp.where(before == time or joints.parts[m] == 0, 0, -1))
+    # Each call is inlined into the kernel of a GPU, so the large functions are called in one place.
     while part < parts:
-        if begins == 1:
+        if part <= 0:
             begin_parts(m, scale, early, team, bodies, state, motions, joints)
-            begins = 0
         start_mechanism(m, dt, parts, team, bodies, motions, joints)
         accelerate(m, time, team, motions, joints)
         failed = settle_mechanism(m, time, 0, exact, team, bodies, state, motions, joints)
+        next = wp.max(part, 0) + 1
         if exact * (1 - failed) == 1 and is_passive(m, team, motions, joints) == 1:
             balance = balance_of(m, before, time, team, bodies, motions, joints)
             if part == -1:
                 scale = scale_at_change(balance, before, time)
-                begins = 1
+                next = 0
             elif 2 * parts <= MOST_PARTS and is_too_long(balance, dt, time):
                 failed = 1
         if failed * exact == 1:
             return 1
-        if begins == 1:
-            part = 0
-        else:
-            part = wp.max(part, 0) + 1
-            if parts > 1:
-                end_part(m, time, team, bodies, state, motions, joints)
-                before = time
+        if next > 0 and parts > 1:
+            end_part(m, time, team, bodies, state, motions, joints)
+            before = time
+        part = next
     return failed
 
 
