@@ -249,6 +249,13 @@ def ballot(flag: int, lanes: int) -> wp.uint32:
     ...
 
 
+@wp.func
+def any_of_warp(flag: int, lanes: int):
+    """Whether the flag of any lane of a team within a warp is not zero; also a barrier, as `sync_warp`."""
+    sync_warp(lanes)
+    return wp.where(ballot(flag, lanes) != wp.uint32(0), 1, 0)
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     return __ffs(bits) - 1;

@@ -1,6 +1,7 @@
-"""Rows and elements of blocks and vectors in arrays, for lanes that share a block: lane k has row k.
+"""Rows, elements and products of blocks and vectors in arrays, for lanes that share a block: lane k has row k.
 
-An element whose index is not known to the compiler would otherwise cost a copy of the whole block in local memory.
+A block that is read as a value is copied. The copy is in local memory where the compiler does not know the index of an
+element, and copies make the compilation of kernels for a GPU up to four times as long.
 """
 
 import warp as wp
@@ -74,4 +75,64 @@ reinterpret_cast<double*>(vectors.data + vectors.shape[1] * at + column)[k] = va
 """)
 def set_component(vectors: wp.array2d[vec6d], at: int, column: int, k: int, value: wp.float64):
     """Store a component of a vector."""
+    ...
+
+
+@wp.func_native("""
+const double* m = reinterpret_cast<const double*>(blocks.data + at);
+wp::vec_t<6, wp::float64> product;
+for (int i = 0; i < 6; ++i) {
+    double sum = m[6 * i] * v[0];
+    for (int k = 1; k < 6; ++k) { sum += m[6 * i + k] * v[k]; }
+    product[i] = sum;
+}
+return product;
+""")
+def block_times(blocks: wp.array[mat66d], at: int, v: vec6d) -> vec6d:
+    """The product of a block and a vector."""
+    ...
+
+
+@wp.func_native("""
+const double* m = reinterpret_cast<const double*>(blocks.data + at);
+wp::vec_t<6, wp::float64> product;
+for (int i = 0; i < 6; ++i) {
+    double sum = m[i] * v[0];
+    for (int k = 1; k < 6; ++k) { sum += m[6 * k + i] * v[k]; }
+    product[i] = sum;
+}
+return product;
+""")
+def transposed_block_times(blocks: wp.array[mat66d], at: int, v: vec6d) -> vec6d:
+    """The product of a block, transposed, and a vector."""
+    ...
+
+
+@wp.func_native("""
+const double* m = reinterpret_cast<const double*>(rows.data + at);
+wp::vec_t<6, wp::float64> product;
+for (int i = 0; i < 6; ++i) {
+    double sum = m[3 * i] * v[0];
+    for (int k = 1; k < 3; ++k) { sum += m[3 * i + k] * v[k]; }
+    product[i] = sum;
+}
+return product;
+""")
+def rows_times(rows: wp.array[mat63d], at: int, v: wp.vec3d) -> vec6d:
+    """The product of the coefficients of a joint's rows and a vector."""
+    ...
+
+
+@wp.func_native("""
+const double* m = reinterpret_cast<const double*>(rows.data + at);
+wp::vec_t<3, wp::float64> product;
+for (int i = 0; i < 3; ++i) {
+    double sum = m[i] * v[0];
+    for (int k = 1; k < 6; ++k) { sum += m[3 * k + i] * v[k]; }
+    product[i] = sum;
+}
+return product;
+""")
+def sum_of_rows(rows: wp.array[mat63d], at: int, v: vec6d) -> wp.vec3d:
+    """The sum of the coefficients of a joint's rows, each times a component of a vector."""
     ...

@@ -11,15 +11,17 @@ lanes share the rows of their blocks.
 
 import warp as wp
 
-from warp_rigid.kernels.common.team import Team, sync_team
+from warp_rigid.kernels.common.team import Team, sync_warp
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import IDLE, damping_slope, drive_slope, is_held
 from warp_rigid.kernels.joints.elements import (
     axis_row,
+    block_times,
     column_of,
     component_of,
     entry_of,
     row_of,
+    rows_times,
     set_component,
     set_entry,
     set_row,
@@ -71,12 +73,14 @@ def coupling_row(j: int, i: int, k: int, b: int, joints: Joints):
         return vec6d()
     push = joints.inverse_mass[b] * axis_row(joints.linear, j, i)
     spin = joints.inverse_inertia[b] * side_row(j, i, b, joints)
-    angular = joints.angular_a[k]
-    if joints.body_a[k] != b:
-        angular = joints.angular_b[k]
     if (joints.body_a[j] == b) != (joints.body_a[k] == b):
         push = -push
-    return masked(joints.linear[k] * push + angular * spin, joints.active[k])
+    turning = vec6d()
+    if joints.body_a[k] != b:
+        turning = rows_times(joints.angular_b, k, spin)
+    else:
+        turning = rows_times(joints.angular_a, k, spin)
+    return masked(rows_times(joints.linear, k, push) + turning, joints.active[k])
 
 
 @wp.func
@@ -151,7 +155,7 @@ def sweep_out(k: int, j: int, team: Team, joints: Joints):
     """Apply the sweep operator for a row to a symmetric block: swept rows hold the negative of their inverse."""
     inverse = ONE / entry_of(joints.pivot, j, k, k)
     row = row_of(joints.pivot, j, k)
-    sync_team(team)
+    sync_warp(team.lanes)
     for i in range(team.lane, 6, team.lanes):
         if i == k:
             set_entry(joints.pivot, j, k, k, -inverse)
@@ -160,7 +164,7 @@ def sweep_out(k: int, j: int, team: Team, joints: Joints):
             set_row(joints.pivot, j, i, row_of(joints.pivot, j, i) - factor * row)
             set_entry(joints.pivot, j, i, k, factor)
             set_entry(joints.pivot, j, k, i, factor)
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -172,19 +176,19 @@ def invert_without_redundant(j: int, team: Team, joints: Joints):
         sweep_out(row, j, team, joints)
         left = left & ~(1 << row)
         row = largest_pivot(j, left, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
     taken = joints.active[j] & ~left
     for i in range(team.lane, 6, team.lanes):
         for k in range(6):
             is_taken = is_locked(taken, i) and is_locked(taken, k)
             set_entry(joints.pivot, j, i, k, wp.where(is_taken, -entry_of(joints.pivot, j, i, k), ZERO))
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
 def factor_row(e: int, i: int, j: int, joints: Joints):
     """Row of the product of a block below the diagonal and the inverse, which is symmetric, of joint j."""
-    return joints.pivot[j] * row_of(joints.lower, e, i)
+    return block_times(joints.pivot, j, row_of(joints.lower, e, i))
 
 
 @wp.func
@@ -194,18 +198,18 @@ def eliminate(place: int, team: Team, joints: Joints):
     invert_without_redundant(j, team, joints)
     for i in range(team.lane, 6, team.lanes):
         for u in range(joints.elimination[place], joints.elimination[place + 1]):
-            change = joints.lower[joints.right[u]] * factor_row(joints.left[u], i, j, joints)
+            change = block_times(joints.lower, joints.right[u], factor_row(joints.left[u], i, j, joints))
             target = joints.target[u]
             set_row(joints.lower, target, i, row_of(joints.lower, target, i) - change)
         for e in range(joints.column[place], joints.column[place + 1]):
             k = joints.row[e]
-            change = joints.lower[e] * factor_row(e, i, j, joints)
+            change = block_times(joints.lower, e, factor_row(e, i, j, joints))
             set_row(joints.pivot, k, i, row_of(joints.pivot, k, i) - change)
-    sync_team(team)
+    sync_warp(team.lanes)
     for i in range(team.lane, 6, team.lanes):
         for e in range(joints.column[place], joints.column[place + 1]):
             set_row(joints.lower, e, i, factor_row(e, i, j, joints))
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -216,15 +220,15 @@ def factorize(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
     for place in range(first + team.lane, end, team.lanes):
         j = joints.sequence[place]
         joints.active[j] = active_rows(j, dt, motions, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
     for k in range(team.lane, 6 * (end - first), team.lanes):
         assemble_row(first + k / 6, k % 6, dt, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
     for place in range(first, end):
         eliminate(place, team, joints)
     if team.lane == 0:
         joints.factorizations[m] = joints.factorizations[m] + 1
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -237,14 +241,14 @@ def substitute(m: int, column: int, team: Team, joints: Joints):
         known = joints.solution[j, column]
         # An impulse on a single body leaves most joints with zeros here.
         if not (known == vec6d()):
-            sync_team(team)
+            sync_warp(team.lanes)
             for i in range(team.lane, 6, team.lanes):
                 for e in range(joints.column[place], joints.column[place + 1]):
                     k = joints.row[e]
                     change = wp.dot(row_of(joints.lower, e, i), known)
                     set_component(joints.solution, k, column, i, component_of(joints.solution, k, column, i) - change)
                 set_component(joints.solution, j, column, i, wp.dot(row_of(joints.pivot, j, i), known))
-            sync_team(team)
+            sync_warp(team.lanes)
     for back in range(end - first):
         place = end - 1 - back
         j = joints.sequence[place]
@@ -253,4 +257,4 @@ def substitute(m: int, column: int, team: Team, joints: Joints):
             for e in range(joints.column[place], joints.column[place + 1]):
                 found -= wp.dot(column_of(joints.lower, e, i), joints.solution[joints.row[e], column])
             set_component(joints.solution, j, column, i, found)
-        sync_team(team)
+        sync_warp(team.lanes)

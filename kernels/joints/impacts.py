@@ -10,7 +10,15 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import VELOCITY, BodyPair, first_three, load_bodies, store_bodies
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team, sync_team
+from warp_rigid.kernels.common.team import (
+    MECHANISM_LANES,
+    Team,
+    any_of_team,
+    any_of_warp,
+    part_of_team,
+    sync_team,
+    sync_warp,
+)
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
     read_contact,
@@ -167,12 +175,12 @@ def bounce_pair(
     if part.lane == 0:
         pair = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
         hit = set_targets(entry.begin, entry.end, unit, pair, pull, dt, contacts)
-    if any_of_team(hit, part) == 0:
+    if any_of_warp(hit, part.lanes) == 0:
         return 0
     answer_pair(entry, part, joints)
     if part.lane == 0:
         bounce_alone(entry, dt, pull, motions, contacts, joints)
-    sync_team(part)
+    sync_warp(part.lanes)
     move_mechanisms(entry, turn, part, graph, motions, joints)
     return 1
 

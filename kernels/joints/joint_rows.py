@@ -14,9 +14,10 @@ from warp_rigid.kernels.common.solver_body import (
     load_velocity,
     store_inverse_inertia,
 )
-from warp_rigid.kernels.common.team import Team, sync_team
+from warp_rigid.kernels.common.team import Team, sync_warp
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat33d
+from warp_rigid.kernels.joints.elements import axis_row, rows_times, sum_of_rows
 from warp_rigid.kernels.joints.poses import Ends, axis_of, ends_of, free_row
 from warp_rigid.kernels.schema import Bodies, Motions
 
@@ -168,12 +169,12 @@ def row_velocities(j: int, which: int, motions: Motions, joints: Joints):
     """Velocities along all rows of a joint [m/s, rad/s]; `which`: VELOCITY or PUSH."""
     a = joints.body_a[j]
     linear = wp.vec3d(load_velocity(a, which, motions))
-    speeds = joints.angular_a[j] * wp.vec3d(load_velocity(a, which + 1, motions))
+    speeds = rows_times(joints.angular_a, j, wp.vec3d(load_velocity(a, which + 1, motions)))
     if joints.to_world[j] == 0:
         b = joints.body_b[j]
         linear = linear - wp.vec3d(load_velocity(b, which, motions))
-        speeds = speeds + joints.angular_b[j] * wp.vec3d(load_velocity(b, which + 1, motions))
-    return speeds + joints.linear[j] * linear
+        speeds = speeds + rows_times(joints.angular_b, j, wp.vec3d(load_velocity(b, which + 1, motions)))
+    return speeds + rows_times(joints.linear, j, linear)
 
 
 @wp.func
@@ -181,12 +182,12 @@ def row_velocity(j: int, k: int, motions: Motions, joints: Joints):
     """Velocity along one row of a joint [m/s, rad/s]."""
     a = joints.body_a[j]
     linear = wp.vec3d(load_velocity(a, VELOCITY, motions))
-    speed = wp.dot(joints.angular_a[j][k], wp.vec3d(load_velocity(a, VELOCITY + 1, motions)))
+    speed = wp.dot(axis_row(joints.angular_a, j, k), wp.vec3d(load_velocity(a, VELOCITY + 1, motions)))
     if joints.to_world[j] == 0:
         b = joints.body_b[j]
         linear = linear - wp.vec3d(load_velocity(b, VELOCITY, motions))
-        speed = speed + wp.dot(joints.angular_b[j][k], wp.vec3d(load_velocity(b, VELOCITY + 1, motions)))
-    return speed + wp.dot(joints.linear[j][k], linear)
+        speed = speed + wp.dot(axis_row(joints.angular_b, j, k), wp.vec3d(load_velocity(b, VELOCITY + 1, motions)))
+    return speed + wp.dot(axis_row(joints.linear, j, k), linear)
 
 
 @wp.func
@@ -233,15 +234,15 @@ def apply_solution(m: int, which: int, team: Team, motions: Motions, joints: Joi
             for e in range(joints.first_end[i], joints.first_end[i + 1]):
                 j = joints.joint_of_end[e]
                 impulses = joints.solution[j, 0]
-                along = wp.transpose(joints.linear[j]) * impulses
+                along = sum_of_rows(joints.linear, j, impulses)
                 if joints.body_a[j] == b:
                     linear -= along
-                    angular -= wp.transpose(joints.angular_a[j]) * impulses
+                    angular -= sum_of_rows(joints.angular_a, j, impulses)
                 else:
                     linear += along
-                    angular -= wp.transpose(joints.angular_b[j]) * impulses
+                    angular -= sum_of_rows(joints.angular_b, j, impulses)
             add_velocity(b, which, joints.inverse_mass[b] * linear, joints.inverse_inertia[b] * angular, motions)
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func

@@ -55,7 +55,6 @@ from warp_rigid.kernels.schema import (
 from warp_rigid.kernels.solve.gauss_seidel import (
     report_sweeps,
     store_before_contacts,
-    sweep,
     sweeps_of,
 )
 from warp_rigid.kernels.solve.line_search import FIXED_POINT, accepted_share, searched
@@ -250,7 +249,7 @@ def sweep_with_joints(
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
     if after_shock != AFTER_PASSES:
         left = sweeps_of(after_shock, team, envs, graph)
-    layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)
+    layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS and touched == 0, 1, 0)
     unsolved = int(1)
     done = int(0)
     residual = float(0.0)
@@ -312,11 +311,8 @@ def sweep_once(
     """
     change = float(0.0)
     if stage == SWEEPING and after_shock != AFTER_PASSES:
-        if touched == 1:
-            change = sweep_others(team, order, motions, contacts, joints)
-        else:
-            for level in range(layered, layered * graph.level_count[team.env] + 1):
-                change = wp.max(change, sweep(level, team, order, graph, motions, contacts))
+        for level in range(layered, layered * graph.level_count[team.env] + 1):
+            change = wp.max(change, sweep_others(level, team, order, graph, motions, contacts, joints))
     if stage != STARTING:
         change = wp.max(change, solve_joints(team, dt, motions, joints))
     if touched == 1 and stage <= SWEEPING:

@@ -28,15 +28,17 @@ from warp_rigid.kernels.common.team import (
     any_of_team,
     part_of_team,
     sync_team,
+    sync_warp,
 )
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.enums import IslandSolver, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat66d, vec6d
+from warp_rigid.kernels.joints.elements import block_times, entry_of, transposed_block_times
 from warp_rigid.kernels.joints.mechanism import IN_CONTACT, needs_solution, solve_mechanism
-from warp_rigid.kernels.joints.responses import push_mechanism, store_cross_response, store_response
+from warp_rigid.kernels.joints.responses import push_mechanism, store_response
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Graph, Motions, Order, OrderRecord
-from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
+from warp_rigid.kernels.solve.gauss_seidel import is_of_level, solve_constraint
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_of_color, stride_of_color
 from warp_rigid.kernels.solve.shock import island_of
 from warp_rigid.kernels.tuning import CONVERGED
@@ -156,14 +158,16 @@ def any_touched(team: Team, joints: Joints):
 
 
 @wp.func
-def sweep_others(team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints):
+def sweep_others(
+    level: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts, joints: Joints
+):
     """As `sweep`, without the contacts that `solve_touching` solves."""
     change = float(0.0)
     for color in range(order.color_count[team.env]):
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
-            if not is_visited(entry, joints):
+            if is_of_level(level, entry, graph) and not is_visited(entry, joints):
                 change = wp.max(change, solve_constraint(entry, motions, contacts))
         sync_team(team)
     return change
@@ -216,14 +220,14 @@ def wrench(arm: wp.vec3, direction: wp.vec3):
 
 
 @wp.func
-def inverse_masses(response: mat66d, arm: wp.vec3, n: wp.vec3, u: wp.vec3):
+def inverse_masses(b: int, arm: wp.vec3, n: wp.vec3, u: wp.vec3, joints: Joints):
     """Inverse effective masses at a contact: normal, both couplings, then the tangential entries 11, 12 and 22."""
     along_n = wrench(arm, n)
     along_u = wrench(arm, u)
     along_v = wrench(arm, wp.cross(n, u))
-    by_n = response * along_n
-    by_u = response * along_u
-    by_v = response * along_v
+    by_n = block_times(joints.response, b, along_n)
+    by_u = block_times(joints.response, b, along_u)
+    by_v = block_times(joints.response, b, along_v)
     couplings = wp.vec2d(wp.dot(along_u, by_n), wp.dot(along_v, by_n))
     return vec6d(
         wp.dot(along_n, by_n),
@@ -260,7 +264,7 @@ def is_within(visit: Visit):
 
 
 @wp.func
-def inverse_cross_masses(cross: mat66d, row: ContactRecord):
+def inverse_cross_masses(m: int, row: ContactRecord, joints: Joints):
     """What the inverse effective masses of both bodies of a mechanism exceed those of their relative motion by.
 
     With the response C of the second body to the first, and the unit wrenches a and b of an axis on both, the entry of
@@ -270,9 +274,9 @@ def inverse_cross_masses(cross: mat66d, row: ContactRecord):
     n_b = wrench(row.arm_b, row.normal)
     u_b = wrench(row.arm_b, row.tangent)
     v_b = wrench(row.arm_b, v)
-    by_n = cross * wrench(row.arm_a, row.normal)
-    by_u = cross * wrench(row.arm_a, row.tangent)
-    by_v = cross * wrench(row.arm_a, v)
+    by_n = block_times(joints.cross_response, m, wrench(row.arm_a, row.normal))
+    by_u = block_times(joints.cross_response, m, wrench(row.arm_a, row.tangent))
+    by_v = block_times(joints.cross_response, m, wrench(row.arm_a, v))
     two = wp.float64(2.0)
     return vec6d(
         two * wp.dot(n_b, by_n),
@@ -288,17 +292,17 @@ def inverse_cross_masses(cross: mat66d, row: ContactRecord):
 def with_responses(row: ContactRecord, visit: Visit, joints: Joints):
     """The row with the effective masses of bodies of mechanisms."""
     if visit.m_a >= 0:
-        k = inverse_masses(joints.response[visit.a], row.arm_a, row.normal, row.tangent)
+        k = inverse_masses(visit.a, row.arm_a, row.normal, row.tangent, joints)
         row.normal_a = float(k[0])
         row.coupling_a = wp.vec2(float(k[1]), float(k[2]))
         row.tangent_a = wp.vec3(float(k[3]), float(k[4]), float(k[5]))
     if visit.m_b >= 0:
-        k = inverse_masses(joints.response[visit.b], row.arm_b, row.normal, row.tangent)
+        k = inverse_masses(visit.b, row.arm_b, row.normal, row.tangent, joints)
         row.normal_b = float(k[0])
         row.coupling_b = wp.vec2(float(k[1]), float(k[2]))
         row.tangent_b = wp.vec3(float(k[3]), float(k[4]), float(k[5]))
     if is_within(visit):
-        k = inverse_cross_masses(joints.cross_response[visit.m_a], row)
+        k = inverse_cross_masses(visit.m_a, row, joints)
         row.normal_a -= float(k[0])
         row.coupling_a -= wp.vec2(float(k[1]), float(k[2]))
         row.tangent_a -= wp.vec3(float(k[3]), float(k[4]), float(k[5]))
@@ -322,16 +326,16 @@ def with_wrenches(on_a: vec6d, on_b: vec6d, visit: Visit, joints: Joints):
     """The visit after impulses and angular impulses on those of its bodies that belong to mechanisms."""
     if visit.m_a >= 0:
         visit.on_a += on_a
-        change = joints.response[visit.a] * on_a
+        change = block_times(joints.response, visit.a, on_a)
         if is_within(visit):
-            change += wp.transpose(joints.cross_response[visit.m_a]) * on_b
+            change += transposed_block_times(joints.cross_response, visit.m_a, on_b)
         visit.pair.linear_a += linear_part(change)
         visit.pair.angular_a += angular_part(change)
     if visit.m_b >= 0:
         visit.on_b += on_b
-        change = joints.response[visit.b] * on_b
+        change = block_times(joints.response, visit.b, on_b)
         if is_within(visit):
-            change += joints.cross_response[visit.m_b] * on_a
+            change += block_times(joints.cross_response, visit.m_b, on_a)
         visit.pair.linear_b += linear_part(change)
         visit.pair.angular_b += angular_part(change)
     return visit
@@ -355,45 +359,49 @@ def turned(angular_impulse: wp.vec3, visit: Visit, joints: Joints):
 
 
 @wp.func
-def angular_response(response: mat66d):
-    """Angular velocity of a body per angular impulse where the joints hold."""
+def angular_response(responses: wp.array[mat66d], at: int):
+    """Angular velocity per angular impulse where the joints hold."""
     block = wp.mat33()
     for i in range(3):
         for k in range(3):
-            block[i, k] = float(response[3 + i, 3 + k])
+            block[i, k] = float(entry_of(responses, at, 3 + i, 3 + k))
     return block
 
 
 @wp.func
-def roll(c: int, row: ContactRecord, visit: Visit, contacts: Contacts, joints: Joints):
-    """The visit after rolling and spinning friction of a contact."""
+def rolling_change(start: int, c: int, row: ContactRecord, visit: Visit, contacts: Contacts, joints: Joints):
+    """Change of the angular impulse by rolling and spinning friction of a contact, or its initial one (`start`)."""
+    if start == 1:
+        return contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts)
     pair = visit.pair
     if visit.m_a >= 0:
-        pair.inverse_inertia_a = angular_response(joints.response[visit.a])
+        pair.inverse_inertia_a = angular_response(joints.response, visit.a)
     if visit.m_b >= 0:
-        pair.inverse_inertia_b = angular_response(joints.response[visit.b])
+        pair.inverse_inertia_b = angular_response(joints.response, visit.b)
     if is_within(visit):
-        cross = angular_response(joints.cross_response[visit.m_a])
+        cross = angular_response(joints.cross_response, visit.m_a)
         pair.inverse_inertia_a -= cross + wp.transpose(cross)
     old = contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts)
     load = contact.impulse_of(c, contact.IMPULSE, contacts)[0]
     pair = contact.solve_rolling(c, load, row, pair, contacts)
-    new = contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts)
-    # An angular impulse on a body of a mechanism moves its centre of mass, too.
-    return turned(world_vector(row.normal, row.tangent, new - old), visit, joints)
+    return contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts) - old
 
 
 @wp.func
-def touch(c: int, visit: Visit, contacts: Contacts, joints: Joints):
-    """The visit after the solution of a contact."""
+def touch(start: int, c: int, visit: Visit, contacts: Contacts, joints: Joints):
+    """The visit after the solution of a contact, or after its initial impulses (`start`)."""
     row = with_responses(contact.read_contact(c, contacts.rows), visit, joints)
-    old = contact.impulse_of(c, contact.IMPULSE, contacts)
-    new = contact.next_impulse(old, 1.0, 1.0, row, visit.pair)
-    contact.set_impulse(c, contact.IMPULSE, new, contacts)
-    visit.change = wp.max(visit.change, contact.velocity_change(new - old, 1.0, 1.0, row))
-    visit = pushed(row, world_vector(row.normal, row.tangent, new - old), visit, joints)
-    if row.rolling_friction + row.spinning_friction > 0.0:
-        visit = roll(c, row, visit, contacts, joints)
+    change = contact.impulse_of(c, contact.IMPULSE, contacts)
+    if start == 0:
+        new = contact.next_impulse(change, 1.0, 1.0, row, visit.pair)
+        contact.set_impulse(c, contact.IMPULSE, new, contacts)
+        change = new - change
+        visit.change = wp.max(visit.change, contact.velocity_change(change, 1.0, 1.0, row))
+    visit = pushed(row, world_vector(row.normal, row.tangent, change), visit, joints)
+    if start == 1 or row.rolling_friction + row.spinning_friction > 0.0:
+        # An angular impulse on a body of a mechanism moves its centre of mass, too.
+        turn = rolling_change(start, c, row, visit, contacts, joints)
+        visit = turned(world_vector(row.normal, row.tangent, turn), visit, joints)
     return visit
 
 
@@ -407,19 +415,6 @@ def open_visit(entry: OrderRecord, motions: Motions, joints: Joints):
     visit.m_b = solved_mechanism(visit.b, joints)
     share_a = wp.where(visit.m_a < 0, 1.0, 0.0)
     visit.pair = load_bodies(visit.a, visit.b, share_a, wp.where(visit.m_b < 0, 1.0, 0.0), motions)
-    return visit
-
-
-@wp.func
-def warm_started(entry: OrderRecord, visit: Visit, contacts: Contacts, joints: Joints):
-    """The visit after the initial impulses of a pair."""
-    distribute_contact_load(entry.begin, entry.end, contacts)
-    for c in range(entry.begin, entry.end):
-        row = contact.read_contact(c, contacts.rows)
-        impulse = contact.impulse_of(c, contact.IMPULSE, contacts)
-        visit = pushed(row, world_vector(row.normal, row.tangent, impulse), visit, joints)
-        angular_impulse = contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts)
-        visit = turned(world_vector(row.normal, row.tangent, angular_impulse), visit, joints)
     return visit
 
 
@@ -441,15 +436,14 @@ def solve_alone(start: int, entry: OrderRecord, motions: Motions, contacts: Cont
     visit = open_visit(entry, motions, joints)
     first = float(0.0)
     if start == 1:
-        visit = warm_started(entry, visit, contacts, joints)
-    else:
-        left = int(PAIR_ROUNDS)
-        while left > 0:
-            visit.change = 0.0
-            for c in range(entry.begin, entry.end):
-                visit = touch(c, visit, contacts, joints)
-            first = wp.max(first, visit.change)
-            left = wp.where(visit.change > CONVERGED * motions.velocity_unit[visit.a], left - 1, 0)
+        distribute_contact_load(entry.begin, entry.end, contacts)
+    left = int(PAIR_ROUNDS)
+    while left > 0:
+        visit.change = 0.0
+        for c in range(entry.begin, entry.end):
+            visit = touch(start, c, visit, contacts, joints)
+        first = wp.max(first, visit.change)
+        left = wp.where(visit.change > CONVERGED * motions.velocity_unit[visit.a], left - 1, 0)
     store_bodies(visit.a, visit.b, visit.pair, motions)
     store_impulses(visit, joints)
     return first
@@ -458,22 +452,22 @@ def solve_alone(start: int, entry: OrderRecord, motions: Motions, contacts: Cont
 @wp.func
 def answer_pair(entry: OrderRecord, team: Team, joints: Joints):
     """Store the responses of the bodies of a pair that belong to mechanisms."""
-    side = int(0)
-    while side < 2:
-        b = wp.where(side == 0, entry.body_a, entry.body_b)
+    pushed_body = entry.body_a
+    b = entry.body_a
+    part = int(0)
+    while part < 3:
         m = solved_mechanism(b, joints)
-        if m >= 0:
-            store_response(m, b, team, joints)
-        side += 1
-    m = solved_mechanism(entry.body_a, joints)
-    if m >= 0 and m == solved_mechanism(entry.body_b, joints):
-        store_cross_response(m, entry.body_a, entry.body_b, team, joints)
+        if m >= 0 and m == solved_mechanism(pushed_body, joints):
+            store_response(m, pushed_body, b, team, joints)
+        pushed_body = wp.where(part == 0, entry.body_b, entry.body_a)
+        b = entry.body_b
+        part += 1
 
 
 @wp.func
 def push_mechanisms(entry: OrderRecord, which: int, team: Team, motions: Motions, joints: Joints):
     """Apply the impulses of a visit to the mechanisms of both bodies: VELOCITY or PUSH."""
-    sync_team(team)
+    sync_warp(team.lanes)
     side = int(0)
     while side < 2:
         b = wp.where(side == 0, entry.body_a, entry.body_b)

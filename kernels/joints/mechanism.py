@@ -8,7 +8,7 @@ between two calls of `predict_mechanism`; after a few of them, the joints hold a
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, START, VELOCITY, load_velocity, store_velocity
-from warp_rigid.kernels.common.team import Team, any_of_team, max_of_lanes, sync_team
+from warp_rigid.kernels.common.team import Team, any_of_warp, max_of_lanes, sync_warp
 from warp_rigid.kernels.enums import JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
@@ -88,8 +88,8 @@ def activity_of(m: int, team: Team, motions: Motions, graph: Graph, joints: Join
         if motions.role[b] == Role.FREE:
             free = 1
             touched |= wp.where(graph.touching[b] > 0, 1, 0)
-    touched = any_of_team(touched, team)
-    return any_of_team(free, team) * wp.where(touched == 1, IN_CONTACT, UNTOUCHED)
+    touched = any_of_warp(touched, team.lanes)
+    return any_of_warp(free, team.lanes) * wp.where(touched == 1, IN_CONTACT, UNTOUCHED)
 
 
 @wp.func
@@ -125,7 +125,7 @@ def take_poses(m: int, team: Team, state: State, joints: Joints):
     """Store the present poses of the bodies of a mechanism."""
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         take_pose(joints.member[i], state, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -135,7 +135,7 @@ def start_mechanism(m: int, dt: float, parts: int, team: Team, bodies: Bodies, m
         store_masses(i, dt, parts, bodies, motions, joints)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         start_joint(joints.sequence[place], dt / float(parts), bodies, motions, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -163,10 +163,10 @@ def predict_mechanism(
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         b = joints.member[i]
         predict_pose(b, dt, 1.0, load_velocity(b, VELOCITY, motions), bodies, state, motions, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         predict_joint(joints.sequence[place], dt, anew, bodies, motions, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -196,7 +196,7 @@ def apply_constants(m: int, dt: float, team: Team, motions: Motions, joints: Joi
             joints.total[j] = joints.total[j] + impulses
             found = 1
         joints.solution[j, 0] = -impulses
-    if any_of_team(found, team) == 1:
+    if any_of_warp(found, team.lanes) == 1:
         apply_solution(m, VELOCITY, team, motions, joints)
 
 
@@ -266,7 +266,7 @@ def solve_once(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
         residual = residual_of(j, dt, motions, joints)
         joints.solution[j, 0] = residual
         change = wp.max(change, largest_of(residual))
-    sync_team(team)
+    sync_warp(team.lanes)
     apply_substituted(m, VELOCITY, team, motions, joints)
     return max_of_lanes(change, team.lanes)
 
@@ -296,7 +296,7 @@ def update_modes(m: int, dt: float, team: Team, motions: Motions, joints: Joints
             if not (mode == joints.mode[j]):
                 joints.mode[j] = mode
                 changed = 1
-    return any_of_team(changed, team)
+    return any_of_warp(changed, team.lanes)
 
 
 @wp.func
@@ -330,7 +330,7 @@ def choose_modes(m: int, dt: float, team: Team, motions: Motions, joints: Joints
             speed = row_velocity(j, row, motions, joints)
             joints.mode[j] = first_mode(j, wp.float64(dt) * (speed + joints.bias[j][row]), joints)
             differ |= wp.where(joints.active[j] != active_rows(j, dt, motions, joints), 1, 0)
-    return any_of_team(differ, team)
+    return any_of_warp(differ, team.lanes)
 
 
 @wp.func
@@ -342,7 +342,7 @@ def take_back(m: int, team: Team, motions: Motions, joints: Joints):
         motions.solver_bodies[b].angular = load_velocity(b, START + 1, motions)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         joints.total[joints.sequence[place]] = joints.start[joints.sequence[place]]
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -418,7 +418,7 @@ def settle_mechanism(
     if unsettled == 1 and exact == 0:
         # Velocities that obey the joints of the present pose add no energy; `close_joints` corrects the poses.
         take_back(m, team, motions, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
     return unsettled
 
 
@@ -452,7 +452,7 @@ def close_joints(m: int, dt: float, team: Team, bodies: Bodies, state: State, mo
             b = joints.member[i]
             part = motions.next_time_of_impact[b]
             predict_pose(b, dt, part, motions.next_course[b], bodies, state, motions, joints)
-        sync_team(team)
+        sync_warp(team.lanes)
         gap = float(0.0)
         for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
             j = joints.sequence[place]
@@ -460,7 +460,7 @@ def close_joints(m: int, dt: float, team: Team, bodies: Bodies, state: State, mo
             joints.bias[j] = gap_of(j, dt, motions, joints)
             gap = wp.max(gap, largest_of(joints.bias[j]))
         gap = max_of_lanes(gap, team.lanes)
-        sync_team(team)
+        sync_warp(team.lanes)
         if gap > JOINT_SOLVED:
             push_back(m, dt, team, motions, joints)
         k = wp.where(gap > JOINT_SOLVED, k + 1, MOST_PREDICTIONS)
@@ -472,7 +472,7 @@ def push_back(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
     factorize(m, dt, team, motions, joints)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         joints.solution[joints.sequence[place], 0] = joints.bias[joints.sequence[place]]
-    sync_team(team)
+    sync_warp(team.lanes)
     apply_substituted(m, PUSH, team, motions, joints)
 
 
@@ -488,5 +488,5 @@ def project(m: int, which: int, team: Team, motions: Motions, joints: Joints):
             if is_driven or not is_locked(joints.active[j], k):
                 speeds[k] = wp.float64(0.0)
         joints.solution[j, 0] = speeds
-    sync_team(team)
+    sync_warp(team.lanes)
     apply_substituted(m, which, team, motions, joints)

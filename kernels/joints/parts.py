@@ -14,7 +14,7 @@ from warp_rigid.kernels.common.solver_body import (
     load_velocity,
     store_inverse_inertia,
 )
-from warp_rigid.kernels.common.team import Team, any_of_team, max_of_lanes, sync_team
+from warp_rigid.kernels.common.team import Team, any_of_warp, max_of_lanes, sync_warp
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.joint_rows import (
@@ -119,7 +119,7 @@ def accelerate(m: int, time: float, team: Team, motions: Motions, joints: Joints
             body = motions.solver_bodies[b]
             motions.solver_bodies[b].linear = body.linear + time * motions.acceleration[b]
             motions.solver_bodies[b].angular = body.angular + time * motions.spin_acceleration[b]
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -145,7 +145,7 @@ def store_before_part(m: int, team: Team, motions: Motions, joints: Joints):
         b = joints.member[i]
         joints.linear_before[b] = motions.solver_bodies[b].linear
         joints.angular_before[b] = motions.solver_bodies[b].angular
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -182,7 +182,7 @@ def is_passive(m: int, team: Team, motions: Motions, joints: Joints):
         driven |= is_driven(joints.sequence[place], motions, joints)
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         driven |= wp.where(motions.role[joints.member[i]] == Role.KINEMATIC, 1, 0)
-    return 1 - any_of_team(driven, team)
+    return 1 - any_of_warp(driven, team.lanes)
 
 
 @wp.func
@@ -225,7 +225,7 @@ def balance_of(m: int, before: float, time: float, team: Team, bodies: Bodies, m
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         b = joints.member[i]
         joints.balance[b] = balance_terms(b, before, time, bodies, motions, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
     sums = wp.vec4d()
     for i in range(joints.first_member[m], joints.first_member[m + 1]):
         sums += joints.balance[joints.member[i]]
@@ -351,7 +351,7 @@ def finish_parts(
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         j = joints.sequence[place]
         joints.total[j] = wp.float64(parts) * joints.total[j]
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func

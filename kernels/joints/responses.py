@@ -8,9 +8,9 @@ applies an impulse to the whole mechanism.
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import VELOCITY
-from warp_rigid.kernels.common.team import Team, single_lane, sync_team
+from warp_rigid.kernels.common.team import Team, single_lane, sync_warp
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
-from warp_rigid.kernels.joints.elements import set_entry
+from warp_rigid.kernels.joints.elements import rows_times, set_entry, sum_of_rows
 from warp_rigid.kernels.joints.factor import substitute
 from warp_rigid.kernels.joints.joint_rows import add_velocity, apply_solution, is_locked
 from warp_rigid.kernels.schema import Motions
@@ -37,9 +37,9 @@ def speeds_along(j: int, b: int, velocity: vec6d, joints: Joints):
     angular = wp.vec3d(velocity[3], velocity[4], velocity[5])
     speeds = vec6d()
     if joints.body_a[j] == b:
-        speeds = joints.linear[j] * linear + joints.angular_a[j] * angular
+        speeds = rows_times(joints.linear, j, linear) + rows_times(joints.angular_a, j, angular)
     elif joints.body_b[j] == b and joints.to_world[j] == 0:
-        speeds = joints.angular_b[j] * angular - joints.linear[j] * linear
+        speeds = rows_times(joints.angular_b, j, angular) - rows_times(joints.linear, j, linear)
     for k in range(6):
         if not is_locked(joints.active[j], k):
             speeds[k] = wp.float64(0.0)
@@ -51,11 +51,11 @@ def reaction(j: int, b: int, impulses: vec6d, joints: Joints):
     """Impulse and angular impulse on a body by impulses along the rows of a joint; 0 if it holds other bodies."""
     if joints.body_a[j] != b and (joints.body_b[j] != b or joints.to_world[j] == 1):
         return vec6d()
-    linear = wp.transpose(joints.linear[j]) * impulses
-    angular = wp.transpose(joints.angular_a[j]) * impulses
+    linear = sum_of_rows(joints.linear, j, impulses)
+    angular = sum_of_rows(joints.angular_a, j, impulses)
     if joints.body_a[j] != b:
         linear = -linear
-        angular = wp.transpose(joints.angular_b[j]) * impulses
+        angular = sum_of_rows(joints.angular_b, j, impulses)
     return vec6d(linear[0], linear[1], linear[2], angular[0], angular[1], angular[2])
 
 
@@ -69,7 +69,7 @@ def solve_for(m: int, b: int, impulse: vec6d, column: int, team: Team, joints: J
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         j = joints.sequence[place]
         joints.solution[j, column] = speeds_along(j, b, velocity, joints)
-    sync_team(team)
+    sync_warp(team.lanes)
     substitute(m, column, team, joints)
 
 
@@ -89,28 +89,24 @@ def response_column(m: int, pushed: int, b: int, k: int, joints: Joints):
 
 
 @wp.func
-def store_response(m: int, b: int, team: Team, joints: Joints):
-    """Store the velocities that unit impulses on a body give it where the joints hold, unless they are known."""
-    if joints.answered[b] == joints.factorizations[m]:
+def store_response(m: int, pushed: int, b: int, team: Team, joints: Joints):
+    """Store the velocities that unit impulses on a body of a mechanism give one of its bodies where the joints hold.
+
+    Those of a body by impulses on itself are kept until the next factorization.
+    """
+    if pushed == b and joints.answered[b] == joints.factorizations[m]:
         return
     for k in range(team.lane, 6, team.lanes):
-        velocity = response_column(m, b, b, k, joints)
+        velocity = response_column(m, pushed, b, k, joints)
         for i in range(6):
-            set_entry(joints.response, b, i, k, velocity[i])
-    sync_team(team)
-    if team.lane == 0:
+            if pushed == b:
+                set_entry(joints.response, b, i, k, velocity[i])
+            else:
+                set_entry(joints.cross_response, m, i, k, CROSS * velocity[i])
+    sync_warp(team.lanes)
+    if team.lane == 0 and pushed == b:
         joints.answered[b] = joints.factorizations[m]
-    sync_team(team)
-
-
-@wp.func
-def store_cross_response(m: int, a: int, b: int, team: Team, joints: Joints):
-    """Store the velocities that unit impulses on a body of a mechanism give another one where the joints hold."""
-    for k in range(team.lane, 6, team.lanes):
-        velocity = response_column(m, a, b, k, joints)
-        for i in range(6):
-            set_entry(joints.cross_response, m, i, k, CROSS * velocity[i])
-    sync_team(team)
+    sync_warp(team.lanes)
 
 
 @wp.func
@@ -121,7 +117,7 @@ def move_mechanism(m: int, b: int, which: int, team: Team, motions: Motions, joi
         velocity = free_velocity(b, joints.pushed[b], joints)
         linear = wp.vec3d(velocity[0], velocity[1], velocity[2])
         add_velocity(b, which, linear, wp.vec3d(velocity[3], velocity[4], velocity[5]), motions)
-    sync_team(team)
+    sync_warp(team.lanes)
     apply_solution(m, which, team, motions, joints)
 
 
@@ -133,4 +129,4 @@ def push_mechanism(m: int, b: int, which: int, team: Team, motions: Motions, joi
         for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
             j = joints.sequence[place]
             joints.total[j] = joints.total[j] - joints.solution[j, 0]
-    sync_team(team)
+    sync_warp(team.lanes)

@@ -66,6 +66,12 @@ def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motio
 
 
 @wp.func
+def is_of_level(level: int, entry: OrderRecord, graph: Graph):
+    """Whether a pair belongs to a level; level 0 has all pairs."""
+    return level == 0 or wp.max(graph.level[entry.body_a], graph.level[entry.body_b]) == level
+
+
+@wp.func
 def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """Solve all constraints once, or those of one level if `level` is not 0. Returns a lane's largest change [m/s]."""
     change = float(0.0)
@@ -73,7 +79,7 @@ def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, 
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
-            if level == 0 or wp.max(graph.level[entry.body_a], graph.level[entry.body_b]) == level:
+            if is_of_level(level, entry, graph):
                 change = wp.max(change, solve_constraint(entry, motions, contacts))
         sync_team(team)
     return change
