@@ -24,6 +24,26 @@ class Role(IntFlag):
     FREE = 8
 
 
+class SolverPart(IntFlag):
+    """Parts of the contact solver, in their order."""
+
+    WARM_START = 1
+    """Initial impulses."""
+    SWEEPS = 2
+    """Sweeps before and after shock propagation."""
+    REST = 4
+    """Islands at rest are stopped."""
+    PASSES = 8
+    """The passes of shock propagation."""
+    ENERGY = 16
+    """Sums of the line search."""
+    STEP_LENGTH = 32
+    """The step length of the line search is applied."""
+    CALM = 64
+    """Further sweeps over calm islands, and the second line search."""
+    ALL = 127
+
+
 class PartKind(IntEnum):
     """Signed distance function of a part of a shape."""
 

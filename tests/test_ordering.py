@@ -11,9 +11,8 @@ from warp_rigid.scene.scene import Motion
 
 
 def ordered(made):
-    """Groups of each environment, as (colour, pairs) by the arrays, after both ordering kernels."""
-    made.launch(coloring.color_constraints, made.bodies, made.constraints, made.graph)
-    made.launch(coloring.group_constraints, made.constraints, made.graph, made.order)
+    """Groups of each environment, as (colour, pairs) by the arrays, after the ordering kernel."""
+    made.launch(coloring.order_constraints, made.bodies, made.constraints, made.graph, made.order)
     return read_groups(made.order, made.constraints)
 
 

@@ -16,7 +16,7 @@ from tests.oracles import (
 from warp_rigid.bench.cases import find_case, moving
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.kernels.enums import IslandSolver
+from warp_rigid.kernels.enums import IslandSolver, SolverPart
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders import stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
@@ -47,7 +47,7 @@ class Search:
         self.apply(stages, self.free + self.problem.change(start))
         self.before = self.read(stages)
         stages.pools.graph.converged.zero_()
-        stages.propagate_shock(0)
+        stages.solve_parts(SolverPart.PASSES | SolverPart.ENERGY | SolverPart.STEP_LENGTH)
         self.after = self.read(stages)
         self.island = stages.pools.graph.island.numpy()
 

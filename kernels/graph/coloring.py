@@ -12,7 +12,7 @@ Constraints at a body with all colours in use, such as a tray with many bodies o
 
 import warp as wp
 
-from warp_rigid.kernels.common.team import any_of_team, lowest_bit, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, lowest_bit, sync_team, team_of
 from warp_rigid.kernels.enums import Motion
 from warp_rigid.kernels.graph.support import is_swept
 from warp_rigid.kernels.schema import COLORS, Bodies, Constraints, Environments, Graph, Order, OrderRecord
@@ -90,42 +90,39 @@ def take_color(k: int, begin: int, bodies: Bodies, constraints: Constraints, gra
         graph.colors[b] = graph.colors[b] | bit
 
 
-@wp.kernel
-def color_constraints(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """One team per environment: assign each swept constraint a colour that no other one of its dynamic bodies has."""
-    team = team_of(wp.tid(), lanes)
+@wp.func
+def color_constraints(team: Team, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
+    """Assign each swept constraint a colour that no other one of its dynamic bodies has."""
     env = team.env
-    if graph.swept[env] == 0:
-        return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
     begin = constraints.start[env]
     end = constraints.start[env + 1]
     if graph.unchanged[env] == 1:
-        for k in range(begin + team.lane, end, lanes):
+        for k in range(begin + team.lane, end, team.lanes):
             if is_swept(k, constraints, graph):
                 graph.color[k] = graph.color_before[constraints.last[k]]
         return
-    for b in range(first + team.lane, last, lanes):
+    for b in range(first + team.lane, last, team.lanes):
         graph.colors[b] = wp.uint32(0)
         graph.bid[b] = NO_BID
-    for k in range(begin + team.lane, end, lanes):
+    for k in range(begin + team.lane, end, team.lanes):
         graph.color[k] = UNCOLORED
     left = int(1)
     while left == 1:
         sync_team(team)
-        for k in range(begin + team.lane, end, lanes):
+        for k in range(begin + team.lane, end, team.lanes):
             if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
                 place_bid(k, begin, bodies, constraints, graph)
         sync_team(team)
-        for k in range(begin + team.lane, end, lanes):
+        for k in range(begin + team.lane, end, team.lanes):
             if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
                 take_color(k, begin, bodies, constraints, graph)
         sync_team(team)
-        for b in range(first + team.lane, last, lanes):
+        for b in range(first + team.lane, last, team.lanes):
             graph.bid[b] = NO_BID
         left = int(0)
-        for k in range(begin + team.lane, end, lanes):
+        for k in range(begin + team.lane, end, team.lanes):
             if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
                 left = 1
         left = any_of_team(left, team)
@@ -163,31 +160,24 @@ def write_in_order(k: int, env: int, constraints: Constraints, graph: Graph, ord
     order.entries[slot] = entry
 
 
-@wp.kernel
-def group_constraints(lanes: int, envs: Environments, constraints: Constraints, graph: Graph, order: Order):
-    """One team per environment: sort the constraints that are solved in sweeps by colour, and find the highest level.
+@wp.func
+def group_constraints(team: Team, envs: Environments, constraints: Constraints, graph: Graph, order: Order):
+    """Sort the constraints that are solved in sweeps by colour, and find the highest level.
 
     Within a colour the order is arbitrary, except for constraints that are solved serially.
     """
-    team = team_of(wp.tid(), lanes)
     env = team.env
     begin = constraints.start[env]
     end = constraints.start[env + 1]
-    if graph.swept[env] == 0:
-        if team.lane == 0:
-            order.color_start[env, 0] = begin
-            order.color_count[env] = 0
-            graph.level_count[env] = 0
-        return
-    for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], lanes):
+    for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
         graph.support_count[b] = 0
-    for color in range(team.lane, MOST_COLORS, lanes):
+    for color in range(team.lane, MOST_COLORS, team.lanes):
         graph.tally[env, color] = 0
     if team.lane == 0:
         graph.level_count[env] = 0
     sync_team(team)
     in_turn = int(0)
-    for k in range(begin + team.lane, end, lanes):
+    for k in range(begin + team.lane, end, team.lanes):
         if is_swept(k, constraints, graph):
             wp.atomic_add(graph.tally, env, graph.color[k], 1)
             in_turn |= wp.where(graph.color[k] == SERIAL, 1, 0)
@@ -197,10 +187,27 @@ def group_constraints(lanes: int, envs: Environments, constraints: Constraints, 
     if team.lane == 0:
         add_colors(env, begin, graph, order)
     sync_team(team)
-    for k in range(begin + team.lane, end, lanes):
+    for k in range(begin + team.lane, end, team.lanes):
         if is_swept(k, constraints, graph) and graph.color[k] != SERIAL:
             write_in_order(k, env, constraints, graph, order)
     if in_turn == 1 and team.lane == 0:
         for k in range(begin, end):
             if is_swept(k, constraints, graph) and graph.color[k] == SERIAL:
                 write_in_order(k, env, constraints, graph, order)
+
+
+@wp.kernel
+def order_constraints(
+    lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph, order: Order
+):
+    """One team per environment: the constraints that are solved in sweeps, colour by colour."""
+    team = team_of(wp.tid(), lanes)
+    env = team.env
+    if graph.swept[env] == 1:
+        color_constraints(team, envs, bodies, constraints, graph)
+        sync_team(team)
+        group_constraints(team, envs, constraints, graph, order)
+    elif team.lane == 0:
+        order.color_start[env, 0] = constraints.start[env]
+        order.color_count[env] = 0
+        graph.level_count[env] = 0

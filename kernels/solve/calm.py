@@ -15,12 +15,12 @@ sweeps instead of thousands.
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import START, VELOCITY, inverse_mass_of, load_velocity, store_velocity
-from warp_rigid.kernels.common.team import Team, any_of_team, raise_to, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, raise_to, sync_team
 from warp_rigid.kernels.constraints.contact import extrapolate_row, store_start
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.graph.islands import most_in_motion
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
-from warp_rigid.kernels.solve.gauss_seidel import SWEEPS, solve_constraint
+from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
 from warp_rigid.kernels.solve.rounds import momentum
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
 from warp_rigid.kernels.tuning import CALM_CONVERGED, DIVERGED, MOST_CALM, NEGLIGIBLE
@@ -138,15 +138,14 @@ def extrapolate(
     sync_team(team)
 
 
-@wp.kernel(module=SWEEPS)
+@wp.func
 def sweep_calm_islands(
-    dt: float, lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+    dt: float, team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
-    """One team per environment: sweep over the calm islands that have not converged.
+    """Sweep over the calm islands that have not converged.
 
     If the largest change has not halved within half of the sweeps, the rest is left to the next step.
     """
-    team = team_of(wp.tid(), lanes)
     env = team.env
     if graph.converged[env] == 1 or envs.shock_propagation[env] != ShockMode.TWO_PASS:
         return

@@ -1,4 +1,4 @@
-"""Contact solver: projected Gauss-Seidel sweeps over the rows of all constraints, colour by colour.
+"""Projected Gauss-Seidel sweeps over the rows of all constraints, colour by colour.
 
 A team of lanes solves an environment. A lane keeps the two bodies of a constraint in registers while it solves the
 constraint's rows.
@@ -7,7 +7,7 @@ constraint's rows.
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import BEFORE_CONTACTS, load_bodies, store_bodies, store_velocity
-from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import apply_row, solve_row
 from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
@@ -16,9 +16,6 @@ from warp_rigid.kernels.solve.schedule import entry_at, first_of_color, stride_o
 from warp_rigid.kernels.tuning import CONVERGED, SWEEPS_PER_DEPTH
 
 wp.set_module_options({"enable_backward": False})
-
-SWEEPS = wp.get_module("warp_rigid.kernels.solve.gauss_seidel")
-"""Module of the kernels that sweep; those in rest.py and calm.py are compiled together with these."""
 
 
 @wp.func
@@ -50,10 +47,9 @@ def store_before_contacts(team: Team, envs: Environments, motions: Motions):
     sync_team(team)
 
 
-@wp.kernel
-def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
-    """One team per environment: apply the initial impulses of the rows."""
-    team = team_of(wp.tid(), lanes)
+@wp.func
+def warm_start(team: Team, envs: Environments, order: Order, motions: Motions, contacts: Contacts):
+    """Apply the initial impulses of the rows."""
     env = team.env
     if envs.warm_starting[env] == 0:
         return
@@ -121,28 +117,23 @@ def report_sweeps(sweeps: int, residual: float, team: Team, graph: Graph):
         wp.atomic_max(graph.residual, team.env, residual)
 
 
-@wp.kernel
+@wp.func
 def sweep_constraints(
     after_shock: int,
-    lanes: int,
+    team: Team,
     envs: Environments,
     order: Order,
     graph: Graph,
     motions: Motions,
     contacts: Contacts,
 ):
-    """One team per environment: half of the contact iterations, before or after the two passes of shock propagation.
+    """Half of the contact iterations, before or after the two passes of shock propagation.
 
     With a single pass, all iterations come before it, as in 2003: bodies frozen in it must not move again, and the
     sweeps go level by level from the ground up. Sweeps end early once the velocities have converged; shock
     propagation is then skipped.
     """
-    team = team_of(wp.tid(), lanes)
     env = team.env
-    if order.color_count[env] == 0:
-        if team.lane == 0:
-            graph.converged[env] = 1
-        return
     unit = motions.velocity_unit[envs.first_body[env]]
     left = sweeps_of(after_shock, team, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)

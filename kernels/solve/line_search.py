@@ -24,7 +24,7 @@ from warp_rigid.kernels.common.solver_body import (
     store_velocity,
     with_velocities,
 )
-from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import blend_row, energy_terms, scale_row, store_start
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
@@ -45,25 +45,15 @@ def searched(env: int, envs: Environments, graph: Graph):
     return envs.shock_propagation[env] == ShockMode.TWO_PASS and is_propagated(env, envs, graph)
 
 
-@wp.kernel
-def store_before_shock(
-    lanes: int,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    contacts: Contacts,
-):
-    """One team per environment: store the velocities and impulses before the passes."""
-    team = team_of(wp.tid(), lanes)
+@wp.func
+def store_before_shock(team: Team, envs: Environments, order: Order, motions: Motions, contacts: Contacts):
+    """Store the velocities and impulses before the passes."""
     env = team.env
-    if not is_propagated(env, envs, graph):
-        return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
-    for b in range(first + team.lane, last, lanes):
+    for b in range(first + team.lane, last, team.lanes):
         store_velocity(b, START, motions.solver_bodies[b].linear, motions.solver_bodies[b].angular, motions)
-    for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
+    for k in range(first_entry(team, order), end_of_entries(env, order), team.lanes):
         entry = entry_at(k, order)
         for row in range(entry.begin, entry.end):
             store_start(row, contacts)
@@ -133,21 +123,10 @@ def add_terms(team: Team, order: Order, graph: Graph, motions: Motions):
     add_up(summed, numerator, denominator, graph)
 
 
-@wp.kernel
-def sum_energy(
-    lanes: int,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    contacts: Contacts,
-):
-    """One team per environment: the two sums of the line search for each island."""
-    team = team_of(wp.tid(), lanes)
-    env = team.env
-    if not searched(env, envs, graph):
-        return
-    clear_sums(envs.first_body[env], envs.first_body[env + 1], team, graph)
+@wp.func
+def sum_energy(team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """The two sums of the line search for each island."""
+    clear_sums(envs.first_body[team.env], envs.first_body[team.env + 1], team, graph)
     store_terms(START, team, order, graph, motions, contacts)
     add_terms(team, order, graph, motions)
 
@@ -170,18 +149,15 @@ def scale_change(b: int, t: float, since: int, motions: Motions):
     motions.solver_bodies[b].angular = angular + t * (body.angular - angular)
 
 
-@wp.kernel
-def accept(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
-    """One team per environment: apply the accepted step length of each island."""
-    team = team_of(wp.tid(), lanes)
+@wp.func
+def accept(team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """Apply the accepted step length of each island."""
     env = team.env
-    if not searched(env, envs, graph):
-        return
-    for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], lanes):
+    for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
         t = accepted_share(graph.island[b], graph)
         graph.accepted[b] = t
         scale_change(b, t, START, motions)
-    for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
+    for k in range(first_entry(team, order), end_of_entries(env, order), team.lanes):
         entry = entry_at(k, order)
         t = accepted_share(island_of(entry, motions, graph), graph)
         for row in range(entry.begin, entry.end):
@@ -220,10 +196,9 @@ def may_gain(team: Team, envs: Environments, order: Order, graph: Graph):
     return any_of_team(moving, team) == 1
 
 
-@wp.kernel
-def prevent_gain(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
-    """One team per environment: scale the impulses of the islands whose energy the contact solver has increased."""
-    team = team_of(wp.tid(), lanes)
+@wp.func
+def prevent_gain(team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """Scale the impulses of the islands whose energy the contact solver has increased."""
     env = team.env
     if not may_gain(team, envs, order, graph):
         return
@@ -233,11 +208,11 @@ def prevent_gain(lanes: int, envs: Environments, order: Order, graph: Graph, mot
     store_terms(BEFORE_CONTACTS, team, order, graph, motions, contacts)
     add_terms(team, order, graph, motions)
     leave_joined(first, last, team, graph)
-    for b in range(first + team.lane, last, lanes):
+    for b in range(first + team.lane, last, team.lanes):
         t = share_without_gain(graph.island[b], graph)
         if t < 1.0:
             scale_change(b, t, BEFORE_CONTACTS, motions)
-    for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
+    for k in range(first_entry(team, order), end_of_entries(env, order), team.lanes):
         entry = entry_at(k, order)
         t = share_without_gain(island_of(entry, motions, graph), graph)
         if t < 1.0:

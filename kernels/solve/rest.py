@@ -19,13 +19,12 @@ steps it is stopped again even if the sweeps converge: otherwise it would creep.
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import VELOCITY, inverse_mass_of, load_velocity
-from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import IMPULSE, impulse_of, read_contact
 from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
 from warp_rigid.kernels.graph.heap_arrays import Rounds
 from warp_rigid.kernels.graph.support import A_ON_B, B_ON_A, UNSUPPORTED
 from warp_rigid.kernels.schema import Bodies, ContactRecord, Contacts, Environments, Graph, Motions, Order
-from warp_rigid.kernels.solve.gauss_seidel import SWEEPS
 from warp_rigid.kernels.solve.rounds import read_round_pair
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
 from warp_rigid.kernels.solve.shock import island_of
@@ -145,12 +144,11 @@ def leave_out_free(
     sync_team(team)
 
 
-@wp.kernel(module=SWEEPS)
+@wp.func
 def stop_resting_islands(
-    dt: float, lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+    dt: float, team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
-    """One team per environment: stop the islands at rest. If there are no others, nothing is left to solve."""
-    team = team_of(wp.tid(), lanes)
+    """Stop the islands at rest. If there are no others, nothing is left to solve."""
     env = team.env
     if envs.shock_propagation[env] != ShockMode.TWO_PASS or envs.warm_starting[env] * graph.swept[env] == 0:
         return
@@ -161,7 +159,7 @@ def stop_resting_islands(
         return
     leave_out_free(CLEARANCE * slow, first, last, team, order, graph, motions, contacts)
     others = int(0)
-    for b in range(first + team.lane, last, lanes):
+    for b in range(first + team.lane, last, team.lanes):
         if is_swept(b, graph, motions):
             if graph.resting[graph.island[b]] == 1:
                 motions.solver_bodies[b].linear = wp.vec3(0.0, 0.0, 0.0)

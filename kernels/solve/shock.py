@@ -27,7 +27,7 @@ from warp_rigid.kernels.common.solver_body import (
     store_bodies,
     store_velocity,
 )
-from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import solve_row
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
@@ -193,35 +193,24 @@ def solve_levels(
         graph.shock_sweeps[team.env] += sweeps
 
 
-@wp.kernel
-def propagate(
-    repetition: int,
-    lanes: int,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    contacts: Contacts,
-):
-    """One team per environment: the upward pass and, with two_pass, the downward pass."""
-    team = team_of(wp.tid(), lanes)
+@wp.func
+def propagate(team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """The upward pass and, with two_pass, the downward pass."""
     env = team.env
     mode = envs.shock_propagation[env]
-    if repetition >= envs.shock_iterations[env] or not is_propagated(env, envs, graph):
-        return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
     zero = wp.vec3(0.0, 0.0, 0.0)
-    for b in range(first + team.lane, last, lanes):
+    for b in range(first + team.lane, last, team.lanes):
         store_velocity(b, UNDER_LOAD, zero, zero, motions)
     for down in range(wp.where(mode == ShockMode.TWO_PASS, 2, 1)):
         if down == 1:
-            for b in range(first + team.lane, last, lanes):
+            for b in range(first + team.lane, last, team.lanes):
                 solver_body = motions.solver_bodies[b]
                 linear = solver_body.linear + solver_body.loaded_linear
                 store_velocity(b, UNDER_LOAD, linear, solver_body.angular + solver_body.loaded_angular, motions)
         solve_levels(mode, down, first, last, team, order, graph, motions, contacts)
     if mode == ShockMode.TWO_PASS:
-        for b in range(first + team.lane, last, lanes):
+        for b in range(first + team.lane, last, team.lanes):
             motions.solver_bodies[b].linear = motions.solver_bodies[b].loaded_linear
             motions.solver_bodies[b].angular = motions.solver_bodies[b].loaded_angular

@@ -11,7 +11,7 @@ from warp_rigid.engine import loading
 from warp_rigid.engine.mechanisms import Mechanisms, find_mechanisms
 from warp_rigid.kernels import declare
 from warp_rigid.kernels.common import team
-from warp_rigid.kernels.enums import JointNumber
+from warp_rigid.kernels.enums import JointNumber, SolverPart
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.scene.joints.joint import Drive, JointEntry
 from warp_rigid.scene.scene import Motion, Scene
@@ -218,50 +218,26 @@ class JointStages:
         else:
             self._per_team(otherwise, inputs, [step.dt])
 
-    def warm_start(self, otherwise: Any) -> None:
-        """Initial impulses of contacts; those of mechanisms are applied before the first sweep.
-
-        `otherwise`: the kernel where there are no joints.
-        """
-        step = self._step
-        inputs = [step.pools.order, step.pools.graph, step.motions, step.pools.contacts]
-        if self.present:
-            inputs = [step.pools.constraints, *inputs, self.arrays, step.pools.visits]
-            self._per_team(self.kernels.warm_start_with_joints, inputs)
-        else:
-            self._per_team(otherwise, inputs)
-
-    def sweep(self, after_shock: int) -> None:
-        """Sweeps over the contacts, with a direct solution of the mechanisms after each."""
-        step = self._step
-        if after_shock == 0:
-            self.settle(after_push=0)
-        inputs = [step.pools.order, step.pools.graph, step.motions]
-        inputs = [*inputs, step.pools.contacts, self.arrays, step.pools.visits]
-        self._per_team(self.kernels.sweep_with_joints, inputs, [after_shock, step.dt])
-
-    def before_shock(self) -> None:
-        """Store the impulses."""
-        if self.present:
-            self._per_team(self.kernels.store_joint_start, [self._step.pools.graph, self.arrays])
-
-    def after_passes(self) -> None:
-        """Solve the mechanisms after the passes of shock propagation."""
-        if self.present:
-            self.sweep(self.kernels.AFTER_PASSES)
-
-    def add_energy(self) -> None:
-        """Contributions of joints to the line search."""
-        step = self._step
-        if self.present:
-            inputs = [step.pools.graph, step.motions, self.arrays]
-            self._per_team(self.kernels.add_energy_of_joints, inputs, [step.dt])
-
-    def after_line_search(self) -> None:
-        """Apply the step length."""
-        step = self._step
-        if self.present:
-            self._per_team(self.kernels.blend_joints, [step.pools.graph, step.motions, self.arrays])
+    def solve_contacts(self) -> None:
+        """Contact solver with mechanisms, whose initial impulses are applied before the first sweep."""
+        step, kernels = self._step, self.kernels
+        graph, motions = step.pools.graph, step.motions
+        inputs = [step.pools.order, graph, motions, step.pools.contacts, self.arrays, step.pools.visits]
+        self._per_team(kernels.warm_start_with_joints, [step.pools.constraints, *inputs])
+        self.settle(after_push=0)
+        self._per_team(kernels.sweep_with_joints, inputs, [0, step.dt])
+        step.solve_parts(SolverPart.REST)
+        for k in range(step.repetitions):
+            repetition = range(k, k + 1)
+            self._per_team(kernels.store_joint_start, [graph, self.arrays])
+            step.solve_parts(SolverPart.PASSES, repetition)
+            self._per_team(kernels.sweep_with_joints, inputs, [kernels.AFTER_PASSES, step.dt])
+            step.solve_parts(SolverPart.ENERGY, repetition)
+            self._per_team(kernels.add_energy_of_joints, [graph, motions, self.arrays], [step.dt])
+            step.solve_parts(SolverPart.STEP_LENGTH, repetition)
+            self._per_team(kernels.blend_joints, [graph, motions, self.arrays])
+        self._per_team(kernels.sweep_with_joints, inputs, [1, step.dt])
+        step.solve_parts(SolverPart.CALM)
 
     def settle(self, after_push: int) -> None:
         """Solve the mechanisms for the pose that the step ends with, before the sweeps or after the push-out."""

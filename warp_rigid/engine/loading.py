@@ -15,19 +15,17 @@ from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
-    gauss_seidel,
+    contact_solver,
     impact_rounds,
-    line_search,
     push_out,
     push_rounds,
     rest,
     restitution,
     rounds,
-    shock,
 )
 from warp_rigid.kernels.update import ground_motion, health, integrate, paths, predict, sleep, watch
 
-TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
+TEAM_MODULES = (contact_solver, restitution, support, coloring, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
 NAMES_OF_TEAM_MODULES = [module.__name__ for module in TEAM_MODULES]

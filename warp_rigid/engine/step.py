@@ -19,16 +19,12 @@ from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
 from warp_rigid.kernels.common import capacity, crowd, team
 from warp_rigid.kernels.constraints import build_contacts, records
-from warp_rigid.kernels.enums import IslandSolver
+from warp_rigid.kernels.enums import IslandSolver, SolverPart
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
-    calm,
-    gauss_seidel,
-    line_search,
+    contact_solver,
     push_out,
-    rest,
     restitution,
-    shock,
 )
 from warp_rigid.kernels.update import ground_motion, integrate, paths, predict, sleep, watch
 
@@ -255,9 +251,7 @@ class Stages:
             self.heaps.list_pairs()
         own = [self.lanes, self.envs, bodies, constraints]
         self._per_team(support.find_structure, own, [graph])
-        self._per_team(coloring.color_constraints, own, [graph])
-        inputs = [self.lanes, self.envs, constraints]
-        self._per_team(coloring.group_constraints, inputs, [graph, self.pools.order])
+        self._per_team(coloring.order_constraints, own, [graph, self.pools.order])
         self.joints.start()
 
     @stage
@@ -275,36 +269,17 @@ class Stages:
 
     @stage
     def solve_contacts(self) -> None:
-        """Contact solver: warm start, sweeps, what is at rest, shock propagation, sweeps, no gain; rounds for heaps."""
-        self.joints.warm_start(gauss_seidel.warm_start)
-        self.sweep_constraints(after_shock=0)
-        self._color_by_color(rest.stop_resting_islands, [self.dt])
-        for repetition in range(self.repetitions):
-            self.propagate_shock(repetition)
-        self.sweep_constraints(after_shock=1)
-        self._color_by_color(calm.sweep_calm_islands, [self.dt])
-        self._color_by_color(line_search.prevent_gain)
+        """Contact solver: sweeps and shock propagation, with direct solutions of mechanisms; rounds for heaps."""
+        if self.joints.present:
+            self.joints.solve_contacts()
+        else:
+            self.solve_parts(SolverPart.ALL, range(self.repetitions))
         if self.crowded:
             self.heaps.solve()
 
-    def sweep_constraints(self, after_shock: int) -> None:
-        """Gauss-Seidel sweeps over all constraints of islands that are not heaps, with their joints."""
-        if self.joints.present:
-            self.joints.sweep(after_shock)
-        else:
-            self._color_by_color(gauss_seidel.sweep_constraints, [after_shock])
-
-    @stage
-    def propagate_shock(self, repetition: int) -> None:
-        """Shock propagation, and the line search that keeps it from increasing the energy."""
-        self._color_by_color(line_search.store_before_shock)
-        self.joints.before_shock()
-        self._color_by_color(shock.propagate, [repetition])
-        self.joints.after_passes()
-        self._color_by_color(line_search.sum_energy)
-        self.joints.add_energy()
-        self._color_by_color(line_search.accept)
-        self.joints.after_line_search()
+    def solve_parts(self, parts: SolverPart, repetitions: range = range(1)) -> None:
+        """Launch some parts of the contact solver; shock propagation with the given repetitions."""
+        self._color_by_color(contact_solver.solve_contacts, [int(parts), repetitions.start, repetitions.stop, self.dt])
 
     @stage
     def push_out(self) -> None:
