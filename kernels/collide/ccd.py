@@ -88,10 +88,9 @@ def may_touch(shapes: Shapes, a: Course, b: Course, dt: float):
     return not out_of_box(center, small.radius + largest_motion(a, b, dt), large.shape, shapes)
 
 
-@wp.kernel
-def limit_travel(dt: float, motions: Motions, suspects: Suspects):
-    """One thread per body: limit its displacement to the distance covered by the broad phase. No body has been hit."""
-    b = wp.tid()
+@wp.func
+def limit_travel(b: int, dt: float, motions: Motions):
+    """Limit the displacement of a body to the distance covered by the broad phase. It has not been hit."""
     moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
     way = dt * wp.length(motions.solver_bodies[b].linear)
     share = wp.min(1.0, motions.max_travel[b] / wp.max(way, 1.0e-12))
@@ -101,14 +100,14 @@ def limit_travel(dt: float, motions: Motions, suspects: Suspects):
     motions.joined[b] = 0
     motions.next_carried[b] = 0
     motions.changed[b] = 0
-    if b == 0:
-        suspects.round[0] = -1
 
 
 @wp.kernel
-def open_round(pairs: Pairs, motions: Motions, suspects: Suspects):
+def open_round(is_first: int, dt: float, pairs: Pairs, motions: Motions, suspects: Suspects):
     """One thread per body: a round starts from the result of the last one, with empty lists."""
     b = wp.tid()
+    if is_first == 1:
+        limit_travel(b, dt, motions)
     turned = motions.next_time_of_impact[b] - motions.time_of_impact[b]
     motions.course_change[b] = motions.next_course[b] - motions.course[b]
     spin_change = motions.next_shared_spin[b] - motions.shared_spin[b]
@@ -119,7 +118,7 @@ def open_round(pairs: Pairs, motions: Motions, suspects: Suspects):
     motions.carried[b] = motions.next_carried[b]
     motions.first_impact[b] = NEVER
     if b == 0:
-        suspects.round[0] += 1
+        suspects.round[0] = wp.where(is_first == 1, 0, suspects.round[0] + 1)
         suspects.again[0] = 0
         suspects.sampled[0] = 0
         pairs.fast_count[0] = 0

@@ -268,16 +268,19 @@ def store_pair(i: int, pairs: Pairs, history: History):
 
 
 @wp.kernel
-def store_lists(threads: int, pairs: Pairs, constraints: Constraints, history: History, graph: Graph):
-    """History, first part: the threads share the pairs and the constraints and store them for the next step."""
+def store_lists(
+    with_contacts: int,
+    threads: int,
+    contacts: Contacts,
+    pairs: Pairs,
+    constraints: Constraints,
+    history: History,
+    graph: Graph,
+):
+    """The threads share the pairs, constraints and, if `with_contacts`, contacts, and store them for the next step."""
     count = wp.max(history.pair_start.shape[0], history.contact_start.shape[0])
     for i in range(wp.tid(), count, threads):
         store_pair(i, pairs, history)
         store_constraint(i, constraints, graph)
-
-
-@wp.kernel
-def store_impulses(threads: int, contacts: Contacts, pairs: Pairs, history: History):
-    """History, second part: the threads share the contacts and store them for the next step."""
-    for c in range(wp.tid(), pairs.contact_start[pairs.contact_start.shape[0] - 1], threads):
+    for c in range(wp.tid(), with_contacts * pairs.contact_start[pairs.contact_start.shape[0] - 1], threads):
         store_contact(c, c, contacts, history)

@@ -90,50 +90,12 @@ def velocity_unit(gained: float):
     return wp.clamp(gained, LEAST_UNIT, LARGEST_UNIT)
 
 
-@wp.kernel
-def derive_motion(
-    dt: float,
-    bodies: Bodies,
-    state: State,
-    sleep_state: SleepState,
-    envs: Environments,
-    fields: FieldForces,
-    motions: Motions,
-):
-    """Role, centre of mass, world inertia and external accelerations of each body."""
-    b = wp.tid()
-    motions.role[b] = role_of(b, bodies, state, sleep_state)
-    env = bodies.env[b]
-    if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
-        envs.moving[env] = envs.step[env] + 1
-    turn = state.orientation[b]
-    center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
-    motions.center[b] = center
-    inverse = inverse_inertia_at(b, turn, bodies)
-    solver_body = SolverBodyRecord()
-    solver_body.linear = state.linear_velocity[b]
-    solver_body.inverse_mass = bodies.inverse_mass[b]
-    solver_body.angular = state.angular_velocity[b]
-    solver_body.inverse_inertia_xx = wp.vec4(inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 1])
-    solver_body.inverse_inertia_yz = wp.vec3(inverse[1, 2], inverse[2, 2], 0.0)
-    motions.solver_bodies[b] = solver_body
-    acceleration = wp.vec3(0.0, 0.0, 0.0)
-    if bodies.motion[b] == Motion.DYNAMIC:
-        acceleration = envs.gravity[env] + field_acceleration(fields, env, center, state.linear_velocity[b], dt)
-    motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
-    spin_acceleration = inverse * state.torque[b]
-    motions.spin_acceleration[b] = spin_acceleration
-    motions.velocity_unit[b] = velocity_unit(dt * wp.length(envs.gravity[env]))
-    motions.is_finite[b] = wp.where(body_is_finite(b, bodies, state, motions.acceleration[b], spin_acceleration), 1, 0)
-
-
-@wp.kernel
-def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """Bounding box of each body over the step, for any rotation.
+@wp.func
+def sweep_box(b: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
+    """Bounding box of a body over the step, for any rotation.
 
     For a fast body it includes the displacement in all directions, as the body may rebound.
     """
-    b = wp.tid()
     shape = bodies.shape[b]
     half = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower)
     middle = 0.5 * (shapes.shapes[shape].upper + shapes.shapes[shape].lower)
@@ -159,6 +121,45 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
         around = wp.vec3(motions.max_travel[b], motions.max_travel[b], motions.max_travel[b])
         motions.lower[b] = at - around - extent
         motions.upper[b] = at + around + extent
+
+
+@wp.kernel
+def derive_motion(
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    sleep_state: SleepState,
+    envs: Environments,
+    fields: FieldForces,
+    motions: Motions,
+):
+    """Role, centre of mass, world inertia, external accelerations and swept bounding box of each body."""
+    b = wp.tid()
+    motions.role[b] = role_of(b, bodies, state, sleep_state)
+    env = bodies.env[b]
+    if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
+        envs.moving[env] = envs.step[env] + 1
+    turn = state.orientation[b]
+    center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
+    motions.center[b] = center
+    inverse = inverse_inertia_at(b, turn, bodies)
+    solver_body = SolverBodyRecord()
+    solver_body.linear = state.linear_velocity[b]
+    solver_body.inverse_mass = bodies.inverse_mass[b]
+    solver_body.angular = state.angular_velocity[b]
+    solver_body.inverse_inertia_xx = wp.vec4(inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 1])
+    solver_body.inverse_inertia_yz = wp.vec3(inverse[1, 2], inverse[2, 2], 0.0)
+    motions.solver_bodies[b] = solver_body
+    acceleration = wp.vec3(0.0, 0.0, 0.0)
+    if bodies.motion[b] == Motion.DYNAMIC:
+        acceleration = envs.gravity[env] + field_acceleration(fields, env, center, state.linear_velocity[b], dt)
+    motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
+    spin_acceleration = inverse * state.torque[b]
+    motions.spin_acceleration[b] = spin_acceleration
+    motions.velocity_unit[b] = velocity_unit(dt * wp.length(envs.gravity[env]))
+    motions.is_finite[b] = wp.where(body_is_finite(b, bodies, state, motions.acceleration[b], spin_acceleration), 1, 0)
+    sweep_box(b, dt, shapes, bodies, state, motions)
 
 
 @wp.kernel

@@ -185,9 +185,9 @@ class Stages:
     @stage
     def predict(self, dt: float) -> None:
         """Prediction: derive world quantities and swept bounding boxes from the state."""
-        inputs = [dt, self.model.bodies, self.state, self.sleep_state, self.envs, self.model.fields]
+        model = self.model
+        inputs = [dt, model.shapes, model.bodies, self.state, self.sleep_state, self.envs, model.fields]
         self._per_body(predict.derive_motion, inputs, [self.motions])
-        self._per_body(predict.sweep_boxes, [dt, self.model.shapes, self.model.bodies, self.state], [self.motions])
         self.joints.bound_travel()
         if self.model.surface_vertices:
             inputs = [self.model.shapes, self.model.bodies, self.envs]
@@ -296,7 +296,7 @@ class Stages:
     @stage
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
-        self._list_fast_pairs_of_step()
+        self.open_round(is_first=1)
         wp.capture_while(self.pools.suspects.again, self._find_impacts)
         self.joints.close_stopped()
 
@@ -335,20 +335,18 @@ class Stages:
     def store_history(self) -> None:
         """History: store the contacts of this step and of sleeping bodies, for warm starting in the next step."""
         pairs, contacts, history = self.pools.pairs, self.pools.contacts, self.pools.history
-        rows = max(history.pair_start.shape[0], history.contact_start.shape[0])
+        rows = max(history.pair_start.shape[0], history.contact_start.shape[0], self.pools.sizes["contacts"])
         if self.sleeping:
             self.share(sleep.count_history, self.pools.sizes["pairs"], [history, self.motions], [pairs])
             self._sum(pairs.contact_count, self.kept.contact_start, CONTACTS, contacts.key.shape[0])
             self.share(
                 sleep.merge_history, self.pools.sizes["pairs"], [pairs, contacts, history, self.motions], [self.kept]
             )
-        inputs = [pairs, self.pools.constraints]
-        self.share(build_contacts.store_lists, rows, inputs, [history, self.pools.graph])
+        inputs, stored = [contacts, pairs, self.pools.constraints], [history, self.pools.graph]
+        self.share(build_contacts.store_lists, rows, inputs, stored, before=[int(not self.sleeping)])
         if self.sleeping:
             wp.copy(history.contact_start, self.kept.contact_start)
             self.share(sleep.replace_history, self.pools.sizes["contacts"], [self.kept], [history])
-        else:
-            self.share(build_contacts.store_impulses, self.pools.sizes["contacts"], [contacts, pairs], [history])
         wp.launch(capacity.close_turn, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.turn], device=self.device)
 
     def note_candidates(self) -> None:
@@ -438,22 +436,17 @@ class Stages:
         wp.launch(capacity.note_wanted, rows, [which, start, turn], [wanted], device=on)
         wp.launch(capacity.empty_if_over, rows, [which, size, turn, wanted], [start], device=on)
 
-    def _list_fast_pairs_of_step(self) -> None:
-        """Open the first round of continuous collision detection."""
-        self._per_body(ccd.limit_travel, [self.dt], [self.motions, self.pools.suspects])
-        self._open_round()
-
-    def _open_round(self) -> None:
+    def open_round(self, is_first: int) -> None:
         """List the pairs of a round: fast ones in the first round, then those of bodies that were hit."""
         pairs, suspects = self.pools.pairs, self.pools.suspects
-        self._per_body(ccd.open_round, [pairs], [self.motions, suspects])
+        self._per_body(ccd.open_round, [is_first, self.dt, pairs], [self.motions, suspects])
         self.joints.join_courses()
         self.share(ccd.list_fast_pairs, self.pools.sizes["pairs"], [*self.moving, self.envs], [suspects, pairs])
 
     def _find_impacts(self) -> None:
         """A round of continuous collision detection, in which there are fast pairs, and the list of the next one."""
         self._trace_fast_pairs()
-        self._open_round()
+        self.open_round(is_first=0)
 
     def _trace_fast_pairs(self) -> None:
         """The times of impact of the listed pairs, and the motion of bodies after their first impact."""
