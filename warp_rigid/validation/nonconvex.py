@@ -14,6 +14,7 @@ from warp_rigid.validation.case import (
     Cases,
     Check,
     Curve,
+    Miss,
     absolute,
     at_most,
     case,
@@ -229,7 +230,7 @@ def bypass(dt):
     continues past the end with rotation, as a plate that is struck at an arm r without restitution: it keeps the
     fraction 1 - 1 / (1 + r^2 / k^2) of its speed, where k is its radius of gyration.
     """
-    speed, phases = 75.0, 8
+    speed, phases = 75.0, 32
     sides = {
         "in the middle": 0.0,
         "centre 0.2 m within the end": 9.8,
@@ -245,6 +246,10 @@ def bypass(dt):
     def passed(trace):
         return trace.position[:, :, 1, 2].min(axis=0) < -1.0
 
+    speculative = (
+        "two phases begin a step less than 25 mm above the bar: a speculative contact leaves up to a fourteenth of the "
+        "approach to the next step, at whose start the square has turned by 15 deg"
+    )
     experiment = Experiment(
         in_space(static(Box((10.0, 1.0, 0.05)), friction=0.0), square),
         0.3,
@@ -265,6 +270,7 @@ def bypass(dt):
             relative(0.01),
             kept * speed,
             labels=experiment.variants[struck],
+            miss=Miss(speculative, 0.013) if dt < 0.01 else None,
         ),
         measured("goes past the bar's end", "", passed, OUTCOME, 1, rows=beside),
         of=experiment,
