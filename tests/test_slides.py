@@ -43,12 +43,15 @@ def deepest_contact(device, first, second, positions, orientations):
 
 @pytest.mark.parametrize("overlap", [1e-4, 1e-3])
 @pytest.mark.parametrize("along", [0.0, 0.013, 0.031])
-def test_ridges_that_cross_touch_where_they_cross(device, overlap, along):
-    """Two rods at right angles, ridge on ridge: no point of either is inside the other one."""
-    turned = (np.sin(np.pi / 4), 0.0, 0.0, np.cos(np.pi / 4))  # z to -y
+@pytest.mark.parametrize("degrees", [90.0, 3.0])
+def test_ridges_that_cross_touch_where_they_cross(device, overlap, along, degrees):
+    """Two rods, ridge on ridge: the slope along a ridge is 0.16, or 0.008 if they are almost parallel."""
+    angle = np.radians(degrees)
+    turned = (np.sin(0.5 * angle), 0.0, 0.0, np.cos(0.5 * angle))  # z towards -y
     flipped = (0.0, 0.0, 1.0, 0.0)  # the ridge to -x
     both = quaternion_product(turned, flipped)
-    place = np.array([[2 * RADIUS - overlap, 0.02, along]])
+    axis = np.array([0.0, -np.sin(angle), np.cos(angle)])
+    place = (np.array([2 * RADIUS - overlap, 0.0, along]) - 0.02 * axis)[None]
     _, (found,) = deepest_contact(device, rod(), rod(), place, [both])
     deepest = int(np.argmin(found["gap"]))
     assert found["gap"][deepest] == pytest.approx(-overlap, abs=2e-6)

@@ -252,7 +252,7 @@ def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
             if slides and search.stage == DONE and search.distance < FAR:
                 search = begin_slides(search, weight)
         if slides and search.stage == DONE and search.last > 0.0:
-            search = next_slide(search, s, approach.turn, shapes)
+            search = next_slide(search, s, approach.turn, size, shapes)
     return search
 
 

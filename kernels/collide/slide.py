@@ -9,7 +9,6 @@ import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import (
     DONE,
-    FLAT,
     Search,
     cross_faces,
     gradient,
@@ -25,8 +24,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 NEARER_HALF = wp.constant(0.505)
 """A point slides along this fraction of an edge; the sample at the other end covers the rest."""
 
-ENOUGH = wp.constant(1.0e-5)
-"""A slide ends when the distance may fall by less than this fraction of the size."""
+ENOUGH = wp.constant(2.0e-5)
+"""A slide does not begin, or ends, when the distance may fall by less than this fraction of the size."""
 
 SAME_FACE = wp.constant(0.5)
 """Smallest cosine between the normals of two faces between which the normal of a crossing is mixed."""
@@ -54,7 +53,7 @@ def begin_slides(search: Search, weight: float):
 
 
 @wp.func
-def next_slide(search: Search, s: int, turn: wp.quat, shapes: Shapes):
+def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shapes):
     """Slide along the edge of a point on which the distance falls most, after those before, if it may be less there."""
     steepest = float(0.0)
     edge = wp.vec3(0.0, 0.0, 0.0)
@@ -65,9 +64,10 @@ def next_slide(search: Search, s: int, turn: wp.quat, shapes: Shapes):
             steepest = fall
             edge = along
     length = wp.length(edge)
+    fall = NEARER_HALF * steepest
     search.stage = DONE
     search.query = search.way
-    if steepest <= FLAT * length or search.before[3] - NEARER_HALF * steepest > wp.min(search.distance, 0.0):
+    if fall <= ENOUGH * size or search.before[3] - fall > wp.min(search.distance, 0.0):
         return search
     search.stage = SLIDE_END
     search.last = steepest
@@ -94,7 +94,7 @@ def end_slide(search: Search):
 @wp.func
 def slide_next(search: Search, d: wp.vec4, size: float):
     """The least distance on the nearer half of an edge; none if the distance falls further on."""
-    if search.stage == SLIDE_END and slope(d, search.along) < FLAT:
+    if search.stage == SLIDE_END and slope(d, search.along) <= 0.0:
         return end_slide(search)
     if d[3] < search.distance:
         search.distance = d[3]
