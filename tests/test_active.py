@@ -86,6 +86,7 @@ def test_switched_on_again_it_is_there(device):
     np.testing.assert_allclose(sim.get("position")[1, 1], [0, 0, HALF], atol=1e-6)
 
 
+@pytest.mark.long
 def test_bodies_come_and_go_without_a_leak(device):
     """Each of four spare bodies is dropped onto a sleeping stack, removed, dropped again."""
     scene = stack(2)

@@ -33,6 +33,7 @@ def turned(orientation, spin, times):
     return np.array([multiply(turn, q) for turn, q in zip(turns, orientation, strict=True)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["slab", "bar", "octahedron", "rod"])
 def test_the_time_of_impact_is_that_of_float64(device, kind):
     """Tumbling solids fly past or into a tumbling cube; the oracle looks for the first overlap that is too deep."""

@@ -342,6 +342,7 @@ def commands_of_the_page():
     return [re.sub(r":(\d+)", lambda count: f":{-(-int(count[1]) // 1000)}", command) for command in commands]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", commands_of_the_page())
 def test_command_of_the_page_runs(capsys, command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

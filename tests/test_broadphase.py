@@ -253,6 +253,7 @@ def test_only_two_bodies_of_the_scene_can_be_filtered():
             scene.filter_pair(*pair)
 
 
+@pytest.mark.long
 def test_two_simulators_search_in_their_own_cells(device):
     """Made one after the other and stepped in turn, each finds the pairs that it finds alone."""
     scenes = [mixed_scene(np.random.default_rng(seed), 300, 2.0) for seed in range(2)]

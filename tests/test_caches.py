@@ -61,6 +61,7 @@ def test_a_damaged_kernel_is_compiled_again(kernels, suffix, damage):
     assert run(cache) == (expected, [])
 
 
+@pytest.mark.long
 def test_a_damaged_kernel_without_a_checksum_is_compiled_again(kernels):
     """As left by an older version."""
     cache, expected = kernels

@@ -60,6 +60,7 @@ def test_run_tells_its_figures_as_one_json_object(capsys, scene_file):
     assert summary["failed"] == summary["verdicts"] == summary["files"] == []
 
 
+@pytest.mark.long
 def test_all_of_stdout_is_the_object(scene_file):
     """Warp's own greeting and progress must not get into it; only a fresh process shows that."""
     command = [sys.executable, "-m", "warp_rigid", "run", scene_file, "--frames", "1", "--json"]

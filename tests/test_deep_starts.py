@@ -113,6 +113,7 @@ def test_no_arms_of_meshes_that_start_deep_stay_crossed(device, name):
     assert np.abs(sim.get("linear_velocity")).max() < 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", VESSELS)
 def test_no_walls_that_cross_at_the_start_stay_crossed(device, name):
     """By the volume that both meshes share, of Manifold's intersection: none after a second."""

@@ -46,6 +46,7 @@ def run(device, starts, settings=None, steps=90, capacity=None, restart=None):
     return [end_bits(sim, env) for env in range(len(starts))]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("settings", settings_with_and_without_sleep(), ids=lambda s: "sleeping" if s.sleeping else "")
 def test_ends_depend_on_nothing_but_the_start(device, tmp_path, settings):
     """Batches of 1, 7 and 24 (4096 on a GPU), every start at many places, tight pools, a restart on the way."""
@@ -91,6 +92,7 @@ def ball_and_box(device, starts, broken=()):
     return sim
 
 
+@pytest.mark.long
 def test_thousands_of_small_environments_end_as_each_alone(device):
     """Where bodies sleep, are woken or stay awake, and one environment in seven breaks down on the way.
 
@@ -111,6 +113,7 @@ def test_thousands_of_small_environments_end_as_each_alone(device):
         assert np.setdiff1d(different, broken).tolist() == []
 
 
+@pytest.mark.long
 def test_bodies_that_meet_through_the_grid_end_the_same_at_any_place(device):
     """All environments share the grid's cells; one of them breaks down, and pools grow from next to nothing."""
 

@@ -50,6 +50,7 @@ def contents(wheel):
         return {name: file.read(name) for name in file.namelist() if not name.endswith("RECORD")}
 
 
+@pytest.mark.long
 def test_the_wheel_holds_the_package_and_nothing_else(built):
     names = set(contents(built[1]))
     own = {name for name in names if name.startswith("warp_rigid/")}
@@ -86,6 +87,7 @@ def test_two_builds_of_a_commit_have_the_same_bytes(tmp_path, monkeypatch):
         assert {member.mode & 0o777 for member in file if member.isfile()} <= {0o644, 0o755}
 
 
+@pytest.mark.long
 def test_the_wheel_runs_in_a_clean_environment(built, tmp_path):
     """Its own packages only, with the libraries it asks for beside it, away from the checkout."""
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)

@@ -40,6 +40,7 @@ def fresh(*arguments, **environment):
     )
 
 
+@pytest.mark.long
 def test_doctor_says_what_works(capsys):
     status, out, _ = run(capsys, "doctor", "--device", "cpu", "--json")
     report = json.loads(out)
@@ -158,6 +159,7 @@ def test_a_device_that_is_not_there_is_one_line(capsys, command):
     assert err.splitlines()[-1].startswith("warp-rigid: device: must be one of ")
 
 
+@pytest.mark.long
 def test_a_kernel_cache_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     done = fresh("run", "incline", WARP_CACHE_PATH=str(tmp_path / "file" / "x"))
@@ -166,6 +168,7 @@ def test_a_kernel_cache_that_cannot_be_written_is_one_line(tmp_path):
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.long
 def test_a_home_that_cannot_be_written_is_no_error(tmp_path):
     """Grids are then computed anew by every process; Warp's kernels are where WARP_CACHE_PATH says."""
     cache = str(Path(wp.config.kernel_cache_dir).parent)
@@ -175,6 +178,7 @@ def test_a_home_that_cannot_be_written_is_no_error(tmp_path):
     assert "4 vertices" in done.stdout
 
 
+@pytest.mark.long
 def test_nothing_needs_shared_memory():
     """The package opens nothing under /dev/shm and shares no memory between processes: containers need none."""
     code = (
@@ -246,6 +250,7 @@ def test_a_disk_that_becomes_full_leaves_the_old_table(capsys, tmp_path):
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
+@pytest.mark.long
 def test_a_home_without_room_for_kernels_is_one_line():
     """Nothing is set: Warp would keep its kernels below a home that cannot be written."""
     places = ("WARP_CACHE_PATH", "XDG_CACHE_HOME", "HOME")

@@ -43,6 +43,7 @@ def live(sim, rng, rounds=8, steps=8):
         sim.step(steps)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seeds", [FEW, *MANY])
 def test_a_reset_gives_the_bits_of_a_fresh_start(seeds, device):
     """Of all environments, then of one of two, while the other one goes on."""
@@ -61,6 +62,7 @@ def test_a_reset_gives_the_bits_of_a_fresh_start(seeds, device):
         assert (seed, first_difference(shown_by(sim, 40, envs=[1]), alone)) == (seed, None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seeds", [FEW, *MANY])
 def test_a_loaded_simulator_gives_the_bits_of_the_saved_one(seeds, device, tmp_path):
     """Beside it, and from the start after a reset."""
@@ -181,6 +183,7 @@ def assert_nothing_else_is_remembered(make, steps):
             assert changed == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seeds", [FEW, *MANY])
 def test_steps_remember_nothing_but_what_is_declared(seeds):
     for seed in seeds:
@@ -193,6 +196,7 @@ def test_steps_remember_nothing_but_what_is_declared(seeds):
         assert_nothing_else_is_remembered(make, 24)
 
 
+@pytest.mark.long
 def test_steps_of_a_heap_remember_nothing_but_what_is_declared():
     """Its pairs are found with the grid, and solved in rounds."""
     scene = heap(np.random.default_rng(0))

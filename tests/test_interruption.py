@@ -72,6 +72,7 @@ def test_the_viewer_ends_with_status_0():
     assert seconds < 1.2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("act", "answer", "expected"),
     [
@@ -88,6 +89,7 @@ def test_an_interruption_that_is_swallowed_is_raised_again_or_ends_the_process(a
     assert (status, told) == expected and seconds < 3.0
 
 
+@pytest.mark.long
 def test_other_programs_keep_their_handler():
     program = "import signal; import warp_rigid; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
     assert started([sys.executable, "-c", program]).communicate()[0] == "True\n"

@@ -130,6 +130,7 @@ def heap(joined):
     return scene
 
 
+@pytest.mark.long
 def test_contacts_and_joints_of_a_heap_are_solved_together(device):
     """Welded pairs in a heap come to rest, as deep in each other as loose boxes, and no weld opens."""
     sim = simulator(heap(True), device)

@@ -17,6 +17,7 @@ HALF = 0.1
 CUBE = Box((HALF,) * 3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bodies, steps, deepest", [(512, 2, 0.014), (216, 2, 0.012), (216, 1, 0.03)])
 def test_a_heap_that_lands_overlaps_little(device, bodies, steps, deepest):
     """Cubes of 0.2 m that fall into a bin, over the first second; without common courses they overlap 2 to 8 times as

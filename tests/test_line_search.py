@@ -1,8 +1,11 @@
 """The line search over the whole contact solver: the initial impulses of an impact add no energy."""
 
+import pytest
+
 from warp_rigid.validation import towers
 
 
+@pytest.mark.long
 def test_impulses_add_no_energy_to_falling_piles(device):
     """Twelve piles of 40 bodies; without the search, two of them gain more than 1e-4 of the energy of their fall."""
     [pile] = towers.falling_piles(2.0, 40).experiments

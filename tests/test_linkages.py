@@ -128,6 +128,7 @@ def second_half(frames, first):
     return np.arctan2(step[1, 0], step[0, 0]) / 2
 
 
+@pytest.mark.long
 def test_welded_boxes_keep_their_shape(device):
     """Twelve boxes welded to a pallet with closed loops, dropped, for two seconds."""
     scene = wr.Scene(gravity=(0, 0, -G))

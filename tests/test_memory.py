@@ -50,6 +50,7 @@ def drop(height: float = 1.0):
     return scene
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_collector")
 def test_a_sweep_leaves_no_arrays(device, monkeypatch):
     """Neither do batches that did not fit into memory; they are freed before their halves are built."""

@@ -94,6 +94,7 @@ def test_flush_cubes_are_carried_on_their_whole_overlap(device, degrees, offset)
     assert covered > 0.99
 
 
+@pytest.mark.long
 def test_edges_that_leave_a_face_push_along_it(device):
     """Where an edge leaves a face, the side that it crosses is as near as the face, and no way out."""
     generator, cube = np.random.default_rng(11), Box((HALF, HALF, HALF))

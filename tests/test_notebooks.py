@@ -9,6 +9,7 @@ import pytest
 from tests.pages import NOTEBOOKS, notebook_tool
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs_and_ends_in_a_figure_with_units_and_a_legend(path, tmp_path, monkeypatch):
     """A sweep twice in one folder: the table that the first run has written is replaced, and the result is the same."""

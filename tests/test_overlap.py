@@ -120,6 +120,7 @@ def test_edges_that_cross(device):
         np.testing.assert_allclose(sim.penetration(), 1e-3 / 2**0.5, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_tubes_that_cross_between_their_samples(device):
     """Two tori whose outer edges cross; their faces bend by pi / 8 there, which leaves edges without samples."""
     torus = meshes.torus(0.07, 0.03, segments=32)

@@ -1,6 +1,7 @@
 """Narrow phase of meshes in motion: samples that reach the other surface within the step are found."""
 
 import numpy as np
+import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
@@ -46,6 +47,7 @@ def reaches(vertices, way, triangles):
     return ((start + rate < 0) & (np.min(places, axis=0) < 1e-3)).any()
 
 
+@pytest.mark.long
 def test_vertices_that_reach_a_mesh_on_their_way_are_found(device):
     """Samples are skipped by their motion and the distance in the middle of it, but none that reaches the surface."""
     ring = trimesh.creation.torus(MAJOR, MINOR, major_sections=24, minor_sections=12)

@@ -51,6 +51,7 @@ def test_passive_mechanisms_gain_no_energy_and_lose_little(scene, rate, device):
         assert mechanisms.loss(trace)[0] < 0.03
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("angle", "tolerance"), [(150.0, 1e-3), (178.0, 1e-2)])
 def test_a_fast_pendulum_keeps_its_energy_and_period_where_the_parts_change(angle, tolerance, device):
     """In 120 s at 1/60 s, links turn by more than LARGEST_TURN at the lowest point only.

@@ -62,6 +62,7 @@ def test_a_batch_that_is_split_goes_on_where_its_first_half_ended(told, monkeypa
     assert [done for done, _ in told] == pytest.approx([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 3.0])
 
 
+@pytest.mark.long
 def test_workers_tell_parts_of_their_batches(told, monkeypatch):
     """The process that started them looks often enough to see a batch of many samples in the middle."""
     monkeypatch.setattr(worker_processes, "DONE_PERIOD", 0.01)

@@ -39,6 +39,7 @@ def largest_gains(sim, steps):
     return np.max(gains, axis=0)
 
 
+@pytest.mark.long
 def test_the_energy_of_a_ragdoll_without_damping_does_not_grow(device):
     """It stands, and folds up. The impulses of a contact must not act again in the next step."""
     assert largest_gains(ragdoll(device), 480) < 1e-3
@@ -62,6 +63,7 @@ def test_a_ragdoll_comes_to_rest_and_sleeps(device):
     assert anchor_errors(sim).max() < 1e-6 and sim.penetration()[0] < 1e-4
 
 
+@pytest.mark.long
 def test_ragdolls_in_a_pit_come_to_rest(device):
     scene = scenes.get("ragdolls").build(dolls=4)
     sim = wr.Simulator(scene, device=device)
@@ -80,6 +82,7 @@ def test_ragdolls_in_a_heap_do_not_move_when_others_land(device):
     assert anchor_errors(sim).max() < 1e-6 and sim.penetration()[0] < 0.01
 
 
+@pytest.mark.long
 def test_ragdolls_that_fall_together_do_not_enter_each_other(device):
     """Four, one above the other, at 20 m/s: 8 cm in a step, as thick as a neck. They stop one after the other."""
     scene = wr.Scene(gravity=(0, 0, -G))

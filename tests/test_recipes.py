@@ -157,6 +157,7 @@ sys.exit(cli.main(sys.argv[1:]))
 """
 
 
+@pytest.mark.long
 def test_a_scene_takes_two_files(copy, device):
     """The box stops after v^2 / (2 mu g), less v dt / 2: in each step it moves with the velocity at the step's end."""
     command = ("run", "sliding_box", "--device", str(device), "--json", "--frames", "60")
@@ -238,11 +239,13 @@ assert np.abs(sim.get("position")[0, 0] - expected).max() < w * dt, (sim.get("po
 """
 
 
+@pytest.mark.long
 def test_a_body_coefficient_takes_four_files(copy, device):
     """Speed of a box that slides with a friction coefficient proportional to its speed."""
     run(copy, VISCOUS_FRICTION, str(device))
 
 
+@pytest.mark.long
 def test_a_force_field_takes_three_files(copy, device):
     """Energy of a body on a spring, and its position after a second."""
     run(copy, OSCILLATOR, str(device))

@@ -80,6 +80,7 @@ def command(*arguments):
     return [sys.executable, "-m", "warp_rigid", "run", "box_stack", "--device", "cpu", "--json", *arguments]
 
 
+@pytest.mark.long
 def test_a_killed_run_goes_on_bit_for_bit(tmp_path, capsys):
     """A real kill -9 while checkpoints are being written; then the same command again, with --resume."""
     length = ["--frames", "80", "--envs", "3", "--set", "friction=0.3,0.4,0.5"]

@@ -46,6 +46,7 @@ def moved(scene):
     return sim, dict(zip([entry.name for entry in scene.joints], sim.get("joint_position")[0].tolist(), strict=True))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in FILES if name != "humanoid.xml"])
 def test_a_robot_has_the_masses_and_the_motion_of_mujoco(robots, name, tmp_path):
     oracle = moved_by_mujoco(robots[name], SECONDS)
@@ -71,6 +72,7 @@ def test_a_robot_has_the_masses_and_the_motion_of_mujoco(robots, name, tmp_path)
     assert again == pytest.approx(angle, abs=2e-3 * span)
 
 
+@pytest.mark.long
 def test_a_humanoid_has_all_its_hinges(robots):
     """Up to three hinges between two bodies move independently; the masses add up to those of MuJoCo."""
     told = moved_by_mujoco(robots["humanoid.xml"], 0.0)

@@ -62,6 +62,7 @@ def test_an_ant_has_the_joints_of_its_file(robots):
     assert "lights are not supported" in [f.reason for f in scene.import_report.findings if f.path == ANT]
 
 
+@pytest.mark.long
 def test_an_ant_falls_and_comes_to_lie_in_one_piece(robots):
     with pytest.warns(UserWarning, match="left out"):
         scene = wr.import_robot(robots[ANT])
@@ -125,6 +126,7 @@ def test_a_file_that_is_not_there_or_of_another_kind_is_refused(tmp_path):
         wr.import_robot(tmp_path / "robot.sdf")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("script", "told"),
     [
@@ -163,6 +165,7 @@ def test_warnings_of_the_converter_are_findings(converter, tmp_path):
     assert [str(f) for f in scene.import_report.findings] == ["robot.mjcf: left out: lights are not supported"]
 
 
+@pytest.mark.long
 def test_a_conversion_has_limits_and_ends_with_the_process_that_waits(converter, tmp_path):
     """A limit of the system that is lower stays."""
     converter('echo $$ >"$2.pid"; exec sleep 60')

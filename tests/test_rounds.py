@@ -110,6 +110,7 @@ def test_the_order_in_which_threads_list_pairs_does_not_matter(device):
     assert ends == [ends[0]] * 3
 
 
+@pytest.mark.long
 def test_many_rounds_reach_coulombs_law(device):
     """In most states of the heap; in some, contacts keep slipping to and fro by up to 7 mm/s."""
     worst = []
@@ -219,6 +220,7 @@ def test_the_push_out_of_a_moving_heap_ends_early(device):
     assert np.median(sim.penetration()) < 2e-3 and sim.penetration().max() < 0.01
 
 
+@pytest.mark.long
 def test_a_heap_rests(device):
     """Each of three heaps is solved in rounds; after ten seconds only boxes balanced on an edge or corner move."""
     case = find_case("pile_box:140")

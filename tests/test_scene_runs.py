@@ -47,6 +47,7 @@ def surprises(result):
 MARKS = {"nut_and_bolt": pytest.mark.long}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, ())) for name in scenes.names()])
 def test_every_variant_shows_what_it_must(name, device):
     result = run(name, device, *SMALL.get(name, ()))

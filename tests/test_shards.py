@@ -107,6 +107,7 @@ def broken(sim, env, body):
     return velocity
 
 
+@pytest.mark.long
 def test_cores_change_no_bit(on_cores, tmp_path):
     """Of states, contacts, counts and checkpoints; a checkpoint of one machine goes on alike on any other."""
     runs = {}
@@ -129,6 +130,7 @@ def test_cores_change_no_bit(on_cores, tmp_path):
     assert goes_on[0][0][:-1] == runs[1][4][:-1], "boxes are those of the next step, all else is as it was saved"
 
 
+@pytest.mark.long
 def test_cores_change_no_bit_of_what_is_found_through_the_hash_grid(on_cores):
     scene = ground_scene()
     for k in range(300):
@@ -276,6 +278,7 @@ def test_shards_are_stepped_at_the_same_time(on_cores, monkeypatch):
     on_cores(4, boxes_apart(), num_envs=1).step(3)
 
 
+@pytest.mark.long
 def test_other_threads_run_while_a_step_does(on_cores):
     """Python's lock is not held during a step: without that, threads would be of no use."""
     sim = on_cores(1, boxes_apart(), num_envs=2500)

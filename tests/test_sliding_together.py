@@ -21,6 +21,7 @@ def test_more_iterations_do_not_diverge(device, iterations):
     assert way == pytest.approx(1.0 / G - 0.5 * DT, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_residual_that_stays_large_is_reported(device):
     """A tray of 1 kg under 400 boxes is not solved in time, one of 10 kg under 25 boxes is."""
     sims = [

@@ -120,6 +120,7 @@ def test_a_pile_that_changes_leaves_no_trace(device, sleeping):
     assert slowdown(seconds) < MOST_SLOWDOWN
 
 
+@pytest.mark.long
 def test_what_is_recorded_anew_saved_or_dropped_leaves_nothing(device, tmp_path):
     """Steps recorded for other settings, checkpoints, and whole simulators."""
     scene, where = pile(8), wp.get_device(device)

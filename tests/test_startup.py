@@ -101,6 +101,7 @@ def test_a_cold_start_keeps_its_budget(tmp_path):
     assert cost["warm"]["processor_seconds"] < cost["cold"]["processor_seconds"] < COLD_KERNELS * one
 
 
+@pytest.mark.long
 def test_kernels_that_are_needed_rarely_are_loaded_when_they_are_needed(device):
     """In a process of its own: others may have loaded them already."""
     command = [sys.executable, "-W", "ignore", "-c", ON_DEMAND, str(device)]

@@ -30,6 +30,7 @@ def like(found, alone):
     return [{name: row[name] for name in alone[0]} for row in values(found)]
 
 
+@pytest.mark.long
 def test_rows_are_the_same_when_a_worker_of_a_cluster_is_killed(tmp_path):
     killed = []
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0) as made:
@@ -61,6 +62,7 @@ def started(monkeypatch):
     return executors
 
 
+@pytest.mark.long
 def test_rows_are_the_same_when_a_worker_process_is_killed(tmp_path, started):
     killed = []
 
@@ -79,6 +81,7 @@ def test_rows_are_the_same_when_a_worker_process_is_killed(tmp_path, started):
     assert set(result.series()["run"].to_pylist()) == set(range(12))
 
 
+@pytest.mark.long
 def test_a_batch_that_ends_its_processes_fails_alone():
     def deadly(sim):
         if (sim.get("position")[:, 1, 2] > 0.6).any():
@@ -90,6 +93,7 @@ def test_a_batch_that_ends_its_processes_fails_alone():
     assert found.failed[0]["reason"].startswith("TerminatedWorkerError: A worker process")
 
 
+@pytest.mark.long
 def test_worker_processes_end_when_a_sweep_is_stopped(started):
     processes = []
 
@@ -102,6 +106,7 @@ def test_worker_processes_end_when_a_sweep_is_stopped(started):
     assert len(processes) == 2 and not any(process.is_alive() for process in processes)
 
 
+@pytest.mark.long
 def test_worker_processes_end_with_the_process_that_started_them():
     """Although it is killed in the middle of a batch of an hour."""
     program = """
@@ -187,6 +192,7 @@ def test_mistakes_are_named(tmp_path):
         cluster_of_file(str(tmp_path / "hook.py"))
 
 
+@pytest.mark.long
 def test_all_devices_are_a_worker_for_each_gpu(monkeypatch):
     """Here two GPUs are only counted; each worker simulates on the CPU, as it finds none."""
     counts = []

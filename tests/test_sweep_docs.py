@@ -49,6 +49,7 @@ def test_cubes_form_a_steeper_heap_than_balls(tmp_path):
     assert len(set(result.column("shape"))) == 5 and slope["cube"].min() > 1.5 * slope["ball"].max()
 
 
+@pytest.mark.long
 def test_best_drop_is_exported_alone_and_ends_as_measured(tmp_path):
     module = example("best_drop")
     result, best = module.main(["--size", "3", "--duration", "0.5", "--out", str(tmp_path)])
@@ -106,6 +107,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("pages")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", commands(PAGES))
 def test_commands_of_the_pages_run(command, folder, monkeypatch):
     """All of them, twice, but only for an instant; the examples have their own tests."""

@@ -131,6 +131,7 @@ def test_series_are_read_where_a_killed_process_left_half_a_file(tmp_path):
     assert read_series(tmp_path)["drift"].to_pylist() == [3.0, 2.0]
 
 
+@pytest.mark.long
 def test_killed_processes_leave_a_table_to_resume(tmp_path):
     """Killed while it runs: the file is readable, and in the end equals an undisturbed one."""
     (tmp_path / "script.py").write_text(

@@ -43,6 +43,7 @@ def at_once(work, arguments):
         return [job.result(120) for job in [pool.submit(one, argument) for argument in arguments]]
 
 
+@pytest.mark.long
 def test_simulators_in_threads_give_the_same_bits():
     sizes = [9, 12, 18, 27]
     alone = [run(size) for size in sizes]

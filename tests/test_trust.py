@@ -34,6 +34,7 @@ def heap(count):
     return scene
 
 
+@pytest.mark.long
 def test_a_thousand_boxes_in_pools_for_ten_end_as_with_room_for_all(device, caplog):
     scene = heap(1000)
     roomy = Simulator(scene, device=device, capacity={"pairs": 40_000, "contacts": 200_000})
@@ -128,6 +129,7 @@ def test_a_limit_on_memory_stops_growth_and_names_the_number_to_raise(device):
             error.value.wanted = next_error.wanted
 
 
+@pytest.mark.long
 def test_what_does_not_fit_is_refused_before_it_is_taken(device, monkeypatch):
     """With the number, and before a byte is allocated."""
     scene = heap(10)

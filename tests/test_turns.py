@@ -56,6 +56,7 @@ def stages_of(landed, device):
     return landed[device][1]
 
 
+@pytest.mark.long
 def test_every_pair_of_a_solved_mechanism_has_one_turn(landed, device):
     stages = stages_of(landed, device)
     wanted = [k for k, touched in enumerate(occupied_by(stages)) if touched]
@@ -96,6 +97,7 @@ def test_more_pairs_than_marked_turns_follow_one_another(device):
     assert np.abs(sim.get("linear_velocity")[0]).max() < 1e-4
 
 
+@pytest.mark.long
 def test_a_heap_of_mechanisms_ends_with_the_same_bits_alone_and_in_a_batch(device):
     """The turns, and the line searches, depend neither on the order of threads nor on the place in a batch."""
     scene = scenes.load("ragdolls", dolls=6)

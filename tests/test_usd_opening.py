@@ -214,6 +214,7 @@ for path in sys.argv[1:]:
 """
 
 
+@pytest.mark.long
 def test_damaged_crates_take_little_time_and_memory():
     """Of 5.5 kB each; the library takes up to 3.7 GB and 7 s for one. One process opens all, one after the other."""
     command = [sys.executable, "-c", OPEN_CRATES, *map(str, CRATES)]
@@ -334,6 +335,7 @@ PR_CAPBSET_DROP, CAP_SYS_RESOURCE = 24, 24
 IMPORT_IT = "import sys; import warp_rigid as wr; print(len(wr.import_usd(sys.argv[1]).bodies))"
 
 
+@pytest.mark.long
 def test_a_file_is_read_under_hard_limits_of_the_system(file):
     """As set by `ulimit` or a queue; the process that examines files must not raise them, which root alone may."""
 
@@ -347,6 +349,7 @@ def test_a_file_is_read_under_hard_limits_of_the_system(file):
     assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr
 
 
+@pytest.mark.long
 def test_the_examination_ends_with_the_process_that_asked(file):
     """A file that takes long is left when its reader is killed."""
     points = ", ".join(["(0, 0, 0)"] * 3_000_000)

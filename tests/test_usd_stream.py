@@ -160,6 +160,7 @@ def left(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "profile", "layout"), LEFT)
 def test_a_program_that_dies_leaves_its_frames(recording, left, name, profile, layout, tmp_path):
     path = left / name

@@ -28,8 +28,8 @@ def slug(case):
     return f"{case.id} {case.title}"
 
 
-LONG = ("V05", "V76")
-"""Cases that take longest; tests of grids, and of heaps that land, cover the same in a shorter time."""
+LONG = ("V05", "V21", "V61", "V62", "V75", "V76", "V102", "V103")
+"""Cases that take longest."""
 
 
 @pytest.mark.parametrize(
@@ -224,6 +224,7 @@ def test_bad_input_is_refused_before_anything_runs(capsys, monkeypatch, argument
     assert text in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_comparison_of_shock_alternatives(capsys, monkeypatch):
     """One pass of 2003 holds up a tower that must fall; the default does not. Both tell it, with times."""
     towers = [

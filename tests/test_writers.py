@@ -217,6 +217,7 @@ with atomic_file(sys.argv[1]) as temporary:
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["film", "file"])
 def test_what_a_killed_process_leaves_is_removed_by_the_next(tmp_path, recording, kind):
     """But not what another process still writes, nor what belongs to others."""

@@ -20,6 +20,7 @@ MODULES = sorted({p.stem for p in Path(__file__).parent.glob("*.py")} - {"harnes
 TARGETS = [target for name in MODULES for target in import_module(f"tests.fuzz.{name}").TARGETS]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cases", CASES)
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name.replace(" ", "_"))
 def test_wild_input_ends_well(target, cases, tmp_path):
