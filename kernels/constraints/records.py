@@ -5,7 +5,7 @@ Graph, colours, islands and the solver read this list.
 
 import warp as wp
 
-from warp_rigid.kernels.schema import Constraints, Environments, Graph, Pairs
+from warp_rigid.kernels.schema import Constraints, Graph, Pairs
 
 wp.set_module_options({"enable_backward": False})
 
@@ -16,20 +16,14 @@ def is_active(k: int, constraints: Constraints):
     return constraints.row_count[k] > 0
 
 
-@wp.kernel
-def list_pairs(threads: int, envs: Environments, pairs: Pairs, constraints: Constraints):
-    """The threads share the pairs and the environments: first constraints of environments, and contact constraints."""
-    count = pairs.start[pairs.start.shape[0] - 1]
-    ends = constraints.start.shape[0]
-    for i in range(wp.tid(), wp.max(count, ends), threads):
-        if i < ends:
-            constraints.start[i] = pairs.start[envs.first_body[i]]
-        if i < count:
-            constraints.body_a[i] = pairs.body_a[i]
-            constraints.body_b[i] = pairs.body_b[i]
-            constraints.first_row[i] = pairs.contact_start[i]
-            constraints.row_count[i] = pairs.contact_start[i + 1] - pairs.contact_start[i]
-            constraints.last[i] = pairs.last[i]
+@wp.func
+def list_constraint(pair: int, pairs: Pairs, constraints: Constraints):
+    """Store the contact constraint of a pair."""
+    constraints.body_a[pair] = pairs.body_a[pair]
+    constraints.body_b[pair] = pairs.body_b[pair]
+    constraints.first_row[pair] = pairs.contact_start[pair]
+    constraints.row_count[pair] = pairs.contact_start[pair + 1] - pairs.contact_start[pair]
+    constraints.last[pair] = pairs.last[pair]
 
 
 @wp.func

@@ -21,9 +21,9 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies
 from warp_rigid.kernels.common.team import Team, add_together, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import direction_and_approach
-from warp_rigid.kernels.constraints.records import is_active
+from warp_rigid.kernels.constraints.records import is_active, list_constraint
 from warp_rigid.kernels.enums import IslandSolver, Motion
-from warp_rigid.kernels.schema import Bodies, Constraints, Contacts, Environments, Graph, Motions
+from warp_rigid.kernels.schema import Bodies, Constraints, Contacts, Environments, Graph, Motions, Pairs
 from warp_rigid.kernels.tuning import SLANT
 
 wp.set_module_options({"enable_backward": False})
@@ -73,10 +73,9 @@ def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, grap
     return same_rows and graph.supports_before[last] == supports
 
 
-@wp.kernel
-def start_graph(graph: Graph):
-    """One thread per environment: reset what the kernels of this stage sum up, and the statistics of the solver."""
-    env = wp.tid()
+@wp.func
+def reset_sums(env: int, graph: Graph):
+    """Reset what the kernels of this stage sum up, and the statistics of the solver."""
     graph.active[env] = 0
     graph.altered[env] = 0
     graph.swept[env] = 0
@@ -90,6 +89,20 @@ def start_graph(graph: Graph):
     graph.push_out_sweeps[env] = 0
     graph.rounds[env] = 0
     graph.push_out_rounds[env] = 0
+
+
+@wp.kernel
+def start_graph(threads: int, envs: Environments, pairs: Pairs, constraints: Constraints, graph: Graph):
+    """The threads share the pairs and the environments: list the contact constraints, and reset sums."""
+    count = pairs.start[pairs.start.shape[0] - 1]
+    ends = constraints.start.shape[0]
+    for i in range(wp.tid(), wp.max(count, ends), threads):
+        if i < ends:
+            constraints.start[i] = pairs.start[envs.first_body[i]]
+        if i < ends - 1:
+            reset_sums(i, graph)
+        if i < count:
+            list_constraint(i, pairs, constraints)
 
 
 @wp.kernel

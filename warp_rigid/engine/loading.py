@@ -12,7 +12,7 @@ from warp_rigid.engine.cores import usable_cores
 from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import bake, broadphase, candidates, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
-from warp_rigid.kernels.constraints import build_contacts, records
+from warp_rigid.kernels.constraints import build_contacts
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
     contact_solver,
@@ -44,7 +44,6 @@ STEP = (
     islands,
     broadphase,
     build_contacts,
-    records,
     capacity,
 )
 """Kernel modules that every step requires; the slowest to compile come first."""

@@ -18,7 +18,7 @@ from warp_rigid.engine.step_parts import StepParts, useful_workers
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
 from warp_rigid.kernels.common import capacity, crowd, team
-from warp_rigid.kernels.constraints import build_contacts, records
+from warp_rigid.kernels.constraints import build_contacts
 from warp_rigid.kernels.enums import IslandSolver, SolverPart
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
@@ -204,7 +204,7 @@ class Stages:
 
     @stage
     def find_contacts(self) -> None:
-        """Narrow phase: find touching samples, reduce them, build contact rows, and list all constraints."""
+        """Narrow phase: find touching samples, reduce them, and build contact rows."""
         pairs, contacts = self.pools.pairs, self.pools.contacts
         pairs.contact_count.zero_()
         self.pools.near.count.zero_()
@@ -217,7 +217,6 @@ class Stages:
         size, inputs = self.pools.sizes["pairs"], [*self.moving, self.envs, pairs, self.pools.near, self.pools.history]
         with self.parts.shared():
             self.share(build_contacts.build_contacts, size, inputs, [contacts], lanes=teams.BUILD_LANES)
-        self._per_constraint(records.list_pairs, [self.envs, pairs], [self.pools.constraints])
 
     @stage
     def wake_changed_islands(self) -> None:
@@ -237,7 +236,7 @@ class Stages:
     def build_graph(self) -> None:
         """Contact graph: supports, islands and how each is solved, levels, and colouring for the solving order."""
         bodies, constraints, graph = self.model.bodies, self.pools.constraints, self.pools.graph
-        self._per_env(support.start_graph, [], [graph])
+        self._per_constraint(support.start_graph, [self.envs, self.pools.pairs], [constraints, graph])
         found = [bodies, self.motions, self.pools.contacts, constraints]
         self._per_constraint(support.find_support, found, [graph])
         self._per_env(support.compare_graph, [], [graph])
