@@ -101,20 +101,20 @@ def store_velocity(b: int, which: int, linear: wp.vec3, angular: wp.vec3, motion
 
 
 @wp.func
-def load_bodies(a: int, b: int, share_a: float, share_b: float, motions: Motions):
-    """Load two bodies; a body whose share is 0 is frozen."""
+def load_bodies(a: int, b: int, mobility_a: float, mobility_b: float, motions: Motions):
+    """Load two bodies; a body whose mobility is 0 is frozen."""
     pair = BodyPair()
     q = read_solver_body(motions.solver_bodies, a, VELOCITY)
     pair.linear_a = first_three(q)
-    pair.inverse_mass_a = wp.where(share_a > 0.0, q[3], 0.0)
+    pair.inverse_mass_a = wp.where(mobility_a > 0.0, q[3], 0.0)
     pair.angular_a = load_velocity(a, VELOCITY + 1, motions)
     q = read_solver_body(motions.solver_bodies, b, VELOCITY)
     pair.linear_b = first_three(q)
-    pair.inverse_mass_b = wp.where(share_b > 0.0, q[3], 0.0)
+    pair.inverse_mass_b = wp.where(mobility_b > 0.0, q[3], 0.0)
     pair.angular_b = load_velocity(b, VELOCITY + 1, motions)
-    if share_a > 0.0:
+    if mobility_a > 0.0:
         pair.inverse_inertia_a = inverse_inertia_of(a, motions)
-    if share_b > 0.0:
+    if mobility_b > 0.0:
         pair.inverse_inertia_b = inverse_inertia_of(b, motions)
     return pair
 

@@ -141,52 +141,52 @@ def solve_rolling(c: int, normal_impulse: float, row: ContactRecord, pair: BodyP
 
 
 @wp.func
-def next_impulse(old: wp.vec3, share_a: float, share_b: float, row: ContactRecord, pair: BodyPair):
-    """New impulse of a row from the old one. A share is a factor on a body's inverse mass; 0: the body is frozen."""
+def next_impulse(old: wp.vec3, mobility_a: float, mobility_b: float, row: ContactRecord, pair: BodyPair):
+    """New impulse of a row from the old one. A mobility is a factor on an inverse mass; 0: the body is frozen."""
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
     slip = contact_velocity(row, pair)
-    k_normal = share_a * row.normal_a + share_b * row.normal_b
+    k_normal = mobility_a * row.normal_a + mobility_b * row.normal_b
     normal = wp.max(old[0] - quotient(wp.dot(slip, n) + row.bias_velocity, k_normal), 0.0)
-    coupling = (normal - old[0]) * (share_a * row.coupling_a + share_b * row.coupling_b)
-    k = share_a * row.tangent_a + share_b * row.tangent_b
+    coupling = (normal - old[0]) * (mobility_a * row.coupling_a + mobility_b * row.coupling_b)
+    k = mobility_a * row.tangent_a + mobility_b * row.tangent_b
     sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + coupling
     after = friction_impulse(wp.vec2(old[1], old[2]), sliding, k, row.friction * normal)
     return wp.vec3(normal, after[0], after[1])
 
 
 @wp.func
-def velocity_change(gained: wp.vec3, share_a: float, share_b: float, row: ContactRecord):
+def velocity_change(gained: wp.vec3, mobility_a: float, mobility_b: float, row: ContactRecord):
     """Bound on the change of the relative velocity at a row by an impulse [m/s]."""
-    k_normal = share_a * row.normal_a + share_b * row.normal_b
-    k = share_a * row.tangent_a + share_b * row.tangent_b
+    k_normal = mobility_a * row.normal_a + mobility_b * row.normal_b
+    k = mobility_a * row.tangent_a + mobility_b * row.tangent_b
     return k_normal * wp.abs(gained[0]) + (k[0] + k[2]) * (wp.abs(gained[1]) + wp.abs(gained[2]))
 
 
 @wp.func
-def solve_row(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
+def solve_row(c: int, mobility_a: float, mobility_b: float, pair: BodyPair, contacts: Contacts):
     """Solve one contact for the velocities of a pair, and record the largest velocity change [m/s].
 
-    A body with a share of 0 is frozen: its mass counts as infinite, and the impulse on it is added to `frozen_impulse`.
+    A body of mobility 0 is frozen: its mass counts as infinite, and the impulse on it is added to `frozen_impulse`.
     """
     row = read_contact(c, contacts.rows)
-    if share_a * row.normal_a + share_b * row.normal_b <= 0.0:
+    if mobility_a * row.normal_a + mobility_b * row.normal_b <= 0.0:
         return pair
     old = impulse_of(c, IMPULSE, contacts)
-    new = next_impulse(old, share_a, share_b, row, pair)
+    new = next_impulse(old, mobility_a, mobility_b, row, pair)
     impulse = world_vector(row.normal, row.tangent, new - old)
     pair = with_impulse(row.arm_a, row.arm_b, impulse, pair)
     set_impulse(c, IMPULSE, new, contacts)
-    if share_a == 0.0:
+    if mobility_a == 0.0:
         pair.frozen_impulse += impulse
         pair.frozen_angular_impulse += wp.cross(row.arm_a, impulse)
-    if share_b == 0.0:
+    if mobility_b == 0.0:
         pair.frozen_impulse -= impulse
         pair.frozen_angular_impulse -= wp.cross(row.arm_b, impulse)
     if row.rolling_friction + row.spinning_friction > 0.0:
         pair = solve_rolling(c, new[0], row, pair, contacts)
-    pair.change = wp.max(pair.change, velocity_change(new - old, share_a, share_b, row))
+    pair.change = wp.max(pair.change, velocity_change(new - old, mobility_a, mobility_b, row))
     return pair
 
 

@@ -413,8 +413,8 @@ def open_visit(entry: OrderRecord, motions: Motions, joints: Joints):
     visit.b = entry.body_b
     visit.m_a = solved_mechanism(visit.a, joints)
     visit.m_b = solved_mechanism(visit.b, joints)
-    share_a = wp.where(visit.m_a < 0, 1.0, 0.0)
-    visit.pair = load_bodies(visit.a, visit.b, share_a, wp.where(visit.m_b < 0, 1.0, 0.0), motions)
+    mobility_a = wp.where(visit.m_a < 0, 1.0, 0.0)
+    visit.pair = load_bodies(visit.a, visit.b, mobility_a, wp.where(visit.m_b < 0, 1.0, 0.0), motions)
     return visit
 
 

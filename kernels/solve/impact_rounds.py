@@ -70,16 +70,16 @@ def impact_round(
             wp.atomic_max(counts, entry.env, rounds.done[0] + 1)
         entry.sharing_a = rounds.sharing[entry.body_a]
         entry.sharing_b = rounds.sharing[entry.body_b]
-        share_a = float(entry.sharing_a)
-        share_b = float(entry.sharing_b)
+        mobility_a = float(entry.sharing_a)
+        mobility_b = float(entry.sharing_b)
         before = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
         before = with_split_masses(entry, before, motions.solver_bodies)
         lag = 0.5 * dt * relative_acceleration(entry, envs, motions)
         unit = motions.velocity_unit[entry.body_a]
-        after = after_impact(entry.begin, entry.end, share_a, share_b, unit, lag, before, contacts)
+        after = after_impact(entry.begin, entry.end, mobility_a, mobility_b, unit, lag, before, contacts)
         if before.inverse_mass_a > 0.0:
-            store_change(entry.slot_a, 0, 0, (after.linear_a - before.linear_a) / share_a, 0.0, slots)
-            store_change(entry.slot_a, 1, 0, (after.angular_a - before.angular_a) / share_a, 0.0, slots)
+            store_change(entry.slot_a, 0, 0, (after.linear_a - before.linear_a) / mobility_a, 0.0, slots)
+            store_change(entry.slot_a, 1, 0, (after.angular_a - before.angular_a) / mobility_a, 0.0, slots)
         if before.inverse_mass_b > 0.0:
-            store_change(entry.slot_b, 0, 0, (after.linear_b - before.linear_b) / share_b, 0.0, slots)
-            store_change(entry.slot_b, 1, 0, (after.angular_b - before.angular_b) / share_b, 0.0, slots)
+            store_change(entry.slot_b, 0, 0, (after.linear_b - before.linear_b) / mobility_b, 0.0, slots)
+            store_change(entry.slot_b, 1, 0, (after.angular_b - before.angular_b) / mobility_b, 0.0, slots)

@@ -75,38 +75,40 @@ def set_targets(
 
 
 @wp.func
-def next_impact(stored: wp.vec4, share_a: float, share_b: float, row: ContactRecord, pair: BodyPair):
+def next_impact(stored: wp.vec4, mobility_a: float, mobility_b: float, row: ContactRecord, pair: BodyPair):
     """The impulse that brings the normal velocity to its target, and the slip to zero within the friction cone.
 
-    `stored`: the impulse so far, and the target. The shares are factors on the inverse masses of the bodies.
+    `stored`: the impulse so far, and the target. The mobilities are factors on the inverse masses.
     """
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
     old = first_three(stored)
     slip = contact_velocity(row, pair)
-    k_normal = share_a * row.normal_a + share_b * row.normal_b
+    k_normal = mobility_a * row.normal_a + mobility_b * row.normal_b
     normal = wp.max(old[0] + quotient(stored[3] - wp.dot(slip, n), k_normal), 0.0)
     gained = normal - old[0]
-    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + gained * (share_a * row.coupling_a + share_b * row.coupling_b)
-    k = share_a * row.tangent_a + share_b * row.tangent_b
+    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + gained * (
+        mobility_a * row.coupling_a + mobility_b * row.coupling_b
+    )
+    k = mobility_a * row.tangent_a + mobility_b * row.tangent_b
     before = wp.vec2(old[1], old[2])
     after = friction_impulse(before, sliding, k, row.friction * normal)
     return wp.vec3(normal, after[0], after[1])
 
 
 @wp.func
-def collide_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
+def collide_contact(c: int, mobility_a: float, mobility_b: float, pair: BodyPair, contacts: Contacts):
     """Update one contact, as `next_impact`."""
     stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
     if stored[3] <= NO_IMPACT:
         return pair
     row = read_contact(c, contacts.rows)
-    new = next_impact(stored, share_a, share_b, row, pair)
+    new = next_impact(stored, mobility_a, mobility_b, row, pair)
     change = new - first_three(stored)
     set_target_impulse(c, new, stored[3], contacts)
     pair = with_impulse(row.arm_a, row.arm_b, world_vector(row.normal, row.tangent, change), pair)
-    pair.change = wp.max(pair.change, velocity_change(change, share_a, share_b, row))
+    pair.change = wp.max(pair.change, velocity_change(change, mobility_a, mobility_b, row))
     return pair
 
 
@@ -141,7 +143,7 @@ def energy_neutral_share(begin: int, end: int, before: BodyPair, after: BodyPair
 
 @wp.func
 def note_impact(begin: int, end: int, keep: float, contacts: Contacts):
-    """Add the impulse of an impact, of which the share `keep` was applied, to those of its pair in this step."""
+    """Add the impulse of an impact, of which the fraction `keep` was applied, to those of its pair in this step."""
     total = wp.vec3(0.0, 0.0, 0.0)
     for c in range(begin, end):
         stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
@@ -153,14 +155,16 @@ def note_impact(begin: int, end: int, keep: float, contacts: Contacts):
 
 
 @wp.func
-def with_impacts(begin: int, end: int, share_a: float, share_b: float, unit: float, pair: BodyPair, contacts: Contacts):
+def with_impacts(
+    begin: int, end: int, mobility_a: float, mobility_b: float, unit: float, pair: BodyPair, contacts: Contacts
+):
     """The bodies after rounds over the contacts of a pair, whose targets are set."""
     largest = float(0.0)
     left = int(IMPACT_ITERATIONS)
     while left > 0:
         pair.change = 0.0
         for c in range(begin, end):
-            pair = collide_contact(c, share_a, share_b, pair, contacts)
+            pair = collide_contact(c, mobility_a, mobility_b, pair, contacts)
         largest = wp.max(largest, pair.change)
         left = wp.where(pair.change > CONVERGED * unit, left - 1, 0)
     pair.change = largest
@@ -171,15 +175,15 @@ def with_impacts(begin: int, end: int, share_a: float, share_b: float, unit: flo
 def after_impact(
     begin: int,
     end: int,
-    share_a: float,
-    share_b: float,
+    mobility_a: float,
+    mobility_b: float,
     unit: float,
     lag: wp.vec3,
     before: BodyPair,
     contacts: Contacts,
 ):
     """The bodies after the impacts of all contacts of a pair, whose targets are set; see `energy_neutral_share`."""
-    after = with_impacts(begin, end, share_a, share_b, unit, before, contacts)
+    after = with_impacts(begin, end, mobility_a, mobility_b, unit, before, contacts)
     keep = energy_neutral_share(begin, end, before, after, lag, contacts)
     note_impact(begin, end, keep, contacts)
     after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)

@@ -78,7 +78,7 @@ def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair, turn_a: w
 def fastest_recovery(pull: float, size: float, dt: float):
     """Largest speed at which bodies that overlap are pushed apart [m/s]: that of a fall from their own size.
 
-    Without an acceleration it is a share of the size in a step.
+    Without an acceleration it is a fraction of the size in a step.
     """
     return wp.where(pull > 0.0, wp.sqrt(2.0 * pull * size), WEIGHTLESS * size / dt)
 
@@ -114,42 +114,42 @@ def wanted_speed(
 
 
 @wp.func
-def with_impulse_on(row: ContactRecord, impulse: wp.vec3, share_a: float, share_b: float, pair: BodyPair):
-    """The pseudo-velocities after a pseudo-impulse; a body whose share is 0 is frozen."""
+def with_impulse_on(row: ContactRecord, impulse: wp.vec3, mobility_a: float, mobility_b: float, pair: BodyPair):
+    """The pseudo-velocities after a pseudo-impulse; a body whose mobility is 0 is frozen."""
     moved = with_impulse(row.arm_a, row.arm_b, impulse, pair)
-    if share_a > 0.0:
+    if mobility_a > 0.0:
         pair.linear_a = moved.linear_a
         pair.angular_a = moved.angular_a
-    if share_b > 0.0:
+    if mobility_b > 0.0:
         pair.linear_b = moved.linear_b
         pair.angular_b = moved.angular_b
     return pair
 
 
 @wp.func
-def push_contact(c: int, share_a: float, share_b: float, pull: wp.vec3, pair: BodyPair, contacts: Contacts):
+def push_contact(c: int, mobility_a: float, mobility_b: float, pull: wp.vec3, pair: BodyPair, contacts: Contacts):
     """Update one contact: bring the pseudo-velocity of separation to its target by a pseudo-impulse.
 
-    The shares are 0 for the lower body, which is frozen if the upper one, with acceleration `pull`, rests on it.
+    The mobility is 0 for the lower body, which is frozen if the upper one, with acceleration `pull`, rests on it.
     """
     stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
     target = stored[3]
     if target <= 0.0:
         return pair
     row = read_contact(c, contacts.rows)
-    lower = (1.0 - share_a) * row.normal_a + (1.0 - share_b) * row.normal_b
-    upper = share_a * row.normal_a + share_b * row.normal_b
+    lower = (1.0 - mobility_a) * row.normal_a + (1.0 - mobility_b) * row.normal_b
+    upper = mobility_a * row.normal_a + mobility_b * row.normal_b
     if lower < LIGHTER * upper and wp.abs(wp.dot(row.normal, pull)) < UPRIGHT_NORMAL * wp.length(pull):
-        share_a = 1.0
-        share_b = 1.0
-    k = share_a * row.normal_a + share_b * row.normal_b
+        mobility_a = 1.0
+        mobility_b = 1.0
+    k = mobility_a * row.normal_a + mobility_b * row.normal_b
     if k <= 0.0:
         return pair
     old = stored[0]
     missing = target - wp.dot(contact_velocity(row, pair), row.normal)
     new = wp.max(old + quotient(missing, k), 0.0)
     set_target_impulse(c, wp.vec3(new, 0.0, 0.0), target, contacts)
-    pair = with_impulse_on(row, (new - old) * row.normal, share_a, share_b, pair)
+    pair = with_impulse_on(row, (new - old) * row.normal, mobility_a, mobility_b, pair)
     pair.change = wp.max(pair.change, k * wp.abs(new - old))
     return pair
 
@@ -159,13 +159,13 @@ def push_pair(entry: OrderRecord, freeze: int, motions: Motions, contacts: Conta
     """Update the contacts of a pair, with pseudo-velocities in place of velocities. Returns 1 if one changed."""
     a = entry.body_a
     b = entry.body_b
-    share_a = wp.where(freeze == 1, float(entry.upper_a), 1.0)
-    share_b = wp.where(freeze == 1, float(entry.upper_b), 1.0)
+    mobility_a = wp.where(freeze == 1, float(entry.upper_a), 1.0)
+    mobility_b = wp.where(freeze == 1, float(entry.upper_b), 1.0)
     pull = motions.acceleration[wp.where(entry.upper_a == 1, a, b)]
     pair = load_bodies(a, b, 1.0, 1.0, motions)
     pair = with_velocities(a, b, PUSH, pair, motions)
     for c in range(entry.begin, entry.end):
-        pair = push_contact(c, share_a, share_b, pull, pair, contacts)
+        pair = push_contact(c, mobility_a, mobility_b, pull, pair, contacts)
     if pair.inverse_mass_a > 0.0:
         store_velocity(a, PUSH, pair.linear_a, pair.angular_a, motions)
     if pair.inverse_mass_b > 0.0:

@@ -150,14 +150,14 @@ def velocities_of(
 @wp.func
 def with_split_masses(entry: RoundRecord, pair: BodyPair, bodies: wp.array[SolverBodyRecord]):
     """The pair with the masses and inertias of the copies of its bodies."""
-    share_a = float(entry.sharing_a)
-    share_b = float(entry.sharing_b)
-    pair.inverse_mass_a = share_a * read_solver_body(bodies, entry.body_a, VELOCITY)[3]
-    pair.inverse_mass_b = share_b * read_solver_body(bodies, entry.body_b, VELOCITY)[3]
-    if share_a > 0.0:
-        pair.inverse_inertia_a = share_a * inertia_at(entry.body_a, bodies)
-    if share_b > 0.0:
-        pair.inverse_inertia_b = share_b * inertia_at(entry.body_b, bodies)
+    mobility_a = float(entry.sharing_a)
+    mobility_b = float(entry.sharing_b)
+    pair.inverse_mass_a = mobility_a * read_solver_body(bodies, entry.body_a, VELOCITY)[3]
+    pair.inverse_mass_b = mobility_b * read_solver_body(bodies, entry.body_b, VELOCITY)[3]
+    if mobility_a > 0.0:
+        pair.inverse_inertia_a = mobility_a * inertia_at(entry.body_a, bodies)
+    if mobility_b > 0.0:
+        pair.inverse_inertia_b = mobility_b * inertia_at(entry.body_b, bodies)
     return pair
 
 
@@ -463,16 +463,16 @@ def solve_contact(
     contacts: Contacts,
 ):
     """Solve a contact for its copies of the bodies, and add its extrapolated impulses to the wrench."""
-    share_a = float(entry.sharing_a)
-    share_b = float(entry.sharing_b)
+    mobility_a = float(entry.sharing_a)
+    mobility_b = float(entry.sharing_b)
     row = read_contact(c, contacts.rows)
     old = impulse_of(c, IMPULSE, contacts)
     before = impulse_of(c, START_IMPULSE, contacts)
-    new = next_impulse(old, share_a, share_b, row, pair)
+    new = next_impulse(old, mobility_a, mobility_b, row, pair)
     ahead = extrapolated(c, IMPULSE, before, new, beta, contacts)
     wrench = with_impulse_of(row, ahead, wrench)
-    wrench.change = wp.max(wrench.change, velocity_change(new - old, share_a, share_b, row))
-    wrench.stirring = wp.max(wrench.stirring, velocity_change(ahead - old, share_a, share_b, row))
+    wrench.change = wp.max(wrench.change, velocity_change(new - old, mobility_a, mobility_b, row))
+    wrench.stirring = wp.max(wrench.stirring, velocity_change(ahead - old, mobility_a, mobility_b, row))
     if entry.rolls == 1:
         gained = world_vector(row.normal, row.tangent, new - old)
         copies = with_impulse(row.arm_a, row.arm_b, gained, with_split_masses(entry, pair, bodies))

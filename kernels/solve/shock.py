@@ -129,9 +129,9 @@ def visit_frozen(
     entry = entry_at(k, order)
     if is_done(entry, graph):
         return 0
-    share_a = float(entry.upper_a)
-    share_b = float(entry.upper_b)
-    pair = load_bodies(entry.body_a, entry.body_b, share_a, share_b, motions)
+    mobility_a = float(entry.upper_a)
+    mobility_b = float(entry.upper_b)
+    pair = load_bodies(entry.body_a, entry.body_b, mobility_a, mobility_b, motions)
     if down == 1:
         pair = under_load(entry, pair, motions)
     changed = int(0)
@@ -140,7 +140,7 @@ def visit_frozen(
     while left > 0:
         pair.change = 0.0
         for row in range(entry.begin, entry.end):
-            pair = solve_row(row, share_a, share_b, pair, contacts)
+            pair = solve_row(row, mobility_a, mobility_b, pair, contacts)
         left = wp.where(pair.change > tolerance, left - 1, 0)
         changed |= wp.where(pair.change > tolerance, 1, 0)
     if down == 1:
