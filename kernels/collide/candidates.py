@@ -245,7 +245,9 @@ def search_cells(
 
 
 @wp.kernel
-def finish_lists(which: int, room: int, bodies: Bodies, turn: wp.array[int], cells: Cells, wanted: wp.array2d[int]):
+def finish_lists(
+    which: int, room: int, bodies: Bodies, wanted_row: wp.array[int], cells: Cells, wanted: wp.array2d[int]
+):
     """One thread per body of a marked environment: record the required capacity, and sort the list (Shell sort).
 
     A list for which there is no room is emptied.
@@ -258,7 +260,7 @@ def finish_lists(which: int, room: int, bodies: Bodies, turn: wp.array[int], cel
         cells.listed[i] = ALL_LATER
         return
     if count > room:
-        wp.atomic_max(wanted, turn[0], which, count * cells.listed.shape[0])
+        wp.atomic_max(wanted, wanted_row[0], which, count * cells.listed.shape[0])
         cells.listed[i] = 0
         return
     start = room * i

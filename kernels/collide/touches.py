@@ -258,7 +258,7 @@ def touch_near_samples(
     state: State,
     motions: Motions,
     pairs: Pairs,
-    turn: wp.array[int],
+    wanted_row: wp.array[int],
     near: NearSamples,
     wanted: wp.array2d[int],
 ):
@@ -267,7 +267,7 @@ def touch_near_samples(
     If there are more of searched pairs than fit, the step is void, and none of them touches.
     """
     own = claim(wp.tid(), sharing)
-    count = usable_count(own, which, near.count[0], near.next.shape[0], turn, wanted)
+    count = usable_count(own, which, near.count[0], near.next.shape[0], wanted_row, wanted)
     searched = wp.max(count - near.begin[0], 0)
     rows = rows_of(own, searched + near.count[KEPT] - near.begin[KEPT], sharing)
     for row in range(rows.first, rows.end, rows.stride):

@@ -14,16 +14,16 @@ UNCOUNTABLE = wp.constant(2**31 - 1)
 
 
 @wp.kernel
-def note_wanted(which: int, start: wp.array[int], turn: wp.array[int], wanted: wp.array2d[int]):
+def note_wanted(which: int, start: wp.array[int], wanted_row: wp.array[int], wanted: wp.array2d[int]):
     """Record the largest number of entries required in this step; `start` holds the exclusive sums of counts >= 0.
 
     Sums that exceed 32 bits wrap around. The first such sum is negative, as the sum of two numbers < 2^31 is < 2^32.
     """
     i = wp.tid()
     if start[i] < 0:
-        wp.atomic_max(wanted, turn[0], which, UNCOUNTABLE)
+        wp.atomic_max(wanted, wanted_row[0], which, UNCOUNTABLE)
     elif i == start.shape[0] - 1:
-        wp.atomic_max(wanted, turn[0], which, start[i])
+        wp.atomic_max(wanted, wanted_row[0], which, start[i])
 
 
 @wp.kernel
@@ -35,21 +35,23 @@ def note_longest(which: int, lengths: wp.array[int], wanted: wp.array2d[int]):
 
 
 @wp.kernel
-def close_turn(wanted: wp.array2d[int], turn: wp.array[int]):
+def close_row(wanted: wp.array2d[int], wanted_row: wp.array[int]):
     """Advance to the next step's row of `wanted`; steps beyond the last row share it."""
-    turn[0] = wp.min(turn[0] + 1, wanted.shape[0] - 1)
+    wanted_row[0] = wp.min(wanted_row[0] + 1, wanted.shape[0] - 1)
 
 
 @wp.kernel
-def empty_if_over(which: int, capacity: int, turn: wp.array[int], wanted: wp.array2d[int], start: wp.array[int]):
+def empty_if_over(which: int, capacity: int, wanted_row: wp.array[int], wanted: wp.array2d[int], start: wp.array[int]):
     """Empty a list that exceeds the capacity of its pool."""
-    if wanted[turn[0], which] > capacity:
+    if wanted[wanted_row[0], which] > capacity:
         start[wp.tid()] = 0
 
 
 @wp.func
-def usable_count(thread: int, which: int, count: int, capacity: int, turn: wp.array[int], wanted: wp.array2d[int]):
+def usable_count(
+    thread: int, which: int, count: int, capacity: int, wanted_row: wp.array[int], wanted: wp.array2d[int]
+):
     """Record the length of a list that threads have filled. Returns it, or 0 if it exceeds the capacity."""
     if thread == 0:
-        wp.atomic_max(wanted, turn[0], which, count)
+        wp.atomic_max(wanted, wanted_row[0], which, count)
     return wp.where(count > capacity, 0, count)

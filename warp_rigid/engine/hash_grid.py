@@ -77,7 +77,7 @@ class HashGrid:
         self.cells.width.assign(finest[layout.scene_of].astype(np.float32))
         self.cells.first_bucket.assign(exclusive_sums(_buckets(layout.bodies_per_env)).astype(np.int32))
 
-    def update(self, dt: float, envs: Any, motions: Any, which: int, turn: wp.array, wanted: wp.array) -> None:
+    def update(self, dt: float, envs: Any, motions: Any, which: int, wanted_row: wp.array, wanted: wp.array) -> None:
         """Compute the candidates of the environments in which a body has left its fat box.
 
         Args:
@@ -85,7 +85,7 @@ class HashGrid:
             envs: the environments.
             motions: with the swept boxes of this step.
             which: column of `wanted` for the capacity.
-            turn: see Pools.
+            wanted_row: see Pools.
             wanted: see Pools.
         """
         if not self.buckets:
@@ -102,7 +102,7 @@ class HashGrid:
         wp.launch(
             candidates.search_cells, dim=self.count * self.lanes, inputs=inputs, outputs=[cells], device=self.device
         )
-        self._per_body(candidates.finish_lists, [which, self.room, bodies, turn], [wanted])
+        self._per_body(candidates.finish_lists, [which, self.room, bodies, wanted_row], [wanted])
 
     def note_use(self, which: int, wanted: wp.array) -> None:
         """Record the capacity that the current lists of candidates require; the arguments are those of `update`."""

@@ -68,7 +68,7 @@ class Pools:
         rounds: pairs of heaps, which are solved in rounds.
         selected: pairs of heaps with an impact, then those with an overlap.
         slots: velocity changes of the bodies of heaps by each of their pairs.
-        turn: (1,) row of `wanted` for the current step.
+        wanted_row: (1,) row of `wanted` for the current step.
         wanted: (CHUNK, 4) required number of pairs, contacts, candidates and near samples of each step; of candidates
             only a number that exceeds the capacity, and in the first row, after the steps, that of the last one.
     """
@@ -87,19 +87,22 @@ class Pools:
     rounds: Any
     selected: Any
     slots: Any
-    turn: wp.array
+    wanted_row: wp.array
     wanted: wp.array
 
     @classmethod
     def allocate(cls, layout: Layout, sizes: dict[str, int], device: Any) -> "Pools":
         """Allocate empty pools of these sizes (see `sizes_for`)."""
         arrays = {name: declare.allocate(struct, sizes, device) for name, struct in STRUCTS.items()}
-        turn, wanted = wp.zeros(1, dtype=int, device=device), wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device)
-        return cls(layout=layout, sizes=sizes, turn=turn, wanted=wanted, **arrays)
+        wanted_row, wanted = (
+            wp.zeros(1, dtype=int, device=device),
+            wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device),
+        )
+        return cls(layout=layout, sizes=sizes, wanted_row=wanted_row, wanted=wanted, **arrays)
 
     def begin(self) -> None:
         """Reset the required sizes, and start at the first row."""
-        self.turn.zero_()
+        self.wanted_row.zero_()
         self.wanted.zero_()
 
     def forget_graph(self) -> None:

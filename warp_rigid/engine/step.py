@@ -197,7 +197,7 @@ class Stages:
     def find_pairs(self) -> None:
         """Broad phase: count the pairs with overlapping boxes, sum the counts, and write the pairs."""
         pairs = self.pools.pairs
-        self.grid.update(self.dt, self.envs, self.motions, CANDIDATES, self.pools.turn, self.pools.wanted)
+        self.grid.update(self.dt, self.envs, self.motions, CANDIDATES, self.pools.wanted_row, self.pools.wanted)
         self._search_pairs(write=0)
         self._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
         self._search_pairs(write=1)
@@ -346,7 +346,9 @@ class Stages:
         if self.sleeping:
             wp.copy(history.contact_start, self.kept.contact_start)
             self.share(sleep.replace_history, self.pools.sizes["contacts"], [self.kept], [history])
-        wp.launch(capacity.close_turn, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.turn], device=self.device)
+        wp.launch(
+            capacity.close_row, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.wanted_row], device=self.device
+        )
 
     def note_candidates(self) -> None:
         """Record the capacity that the lists of candidates require; it is not part of the recorded step.
@@ -431,9 +433,9 @@ class Stages:
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
         """Exclusive sums of counts; a list that exceeds its capacity is emptied and its length recorded."""
         wp.utils.array_scan(count, start, inclusive=False)
-        turn, wanted, rows, on = self.pools.turn, self.pools.wanted, start.shape[0], self.device
-        wp.launch(capacity.note_wanted, rows, [which, start, turn], [wanted], device=on)
-        wp.launch(capacity.empty_if_over, rows, [which, size, turn, wanted], [start], device=on)
+        wanted_row, wanted, rows, on = self.pools.wanted_row, self.pools.wanted, start.shape[0], self.device
+        wp.launch(capacity.note_wanted, rows, [which, start, wanted_row], [wanted], device=on)
+        wp.launch(capacity.empty_if_over, rows, [which, size, wanted_row, wanted], [start], device=on)
 
     def open_round(self, is_first: int) -> None:
         """List the pairs of a round: fast ones in the first round, then those of bodies that were hit."""
@@ -466,9 +468,9 @@ class Stages:
         size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
         self.share(ccd.list_reached, 2 * size, [*self.moving, pairs], [suspects])
         self.share(ccd.list_clusters, 2 * size, [*self.moving, pairs], [suspects], lanes=teams.TRACE_LANES)
-        inputs, outputs = [*self.moving, pairs, pools.turn], [suspects, pools.wanted]
+        inputs, outputs = [*self.moving, pairs, pools.wanted_row], [suspects, pools.wanted]
         self.share(ccd.list_suspects, samples, inputs, outputs, before=before, lanes=teams.LOOK_LANES)
-        inputs = [self.dt, model.shapes, model.bodies, self.state, pairs, pools.turn]
+        inputs = [self.dt, model.shapes, model.bodies, self.state, pairs, pools.wanted_row]
         self.share(ccd.trace_suspects, samples, inputs, [suspects, self.motions, pools.wanted], before=before)
 
     def _search_contacts(self, woken: int) -> None:
@@ -482,7 +484,7 @@ class Stages:
         with self.parts.shared():
             self.share(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs, near], before=[woken])
             self.share(narrowphase.list_near_samples, size, searched, [pairs, near], lanes=listing)
-            inputs, outputs = [*self.moving, pairs, pools.turn], [near, pools.wanted]
+            inputs, outputs = [*self.moving, pairs, pools.wanted_row], [near, pools.wanted]
             self.share(touches.touch_near_samples, samples, inputs, outputs, before=[NEAR_SAMPLES])
             chosen = pair_contacts.choose_contacts
             self.share(chosen, size, [*searched, near], [pairs], lanes=self.search.choosing)
