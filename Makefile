@@ -36,12 +36,12 @@ demo: $(READY)
 		--picture $(OUT)/box_stack.png --contact-sheet $(OUT)/box_stack_sheet.png
 	@echo "next: $(BIN)/warp-rigid view seesaw"
 
-# The tests that every change must pass while it is made: at most 8 minutes on 2 cores.
+# The tests that every change must pass: at most 8 minutes on 2 cores. CI runs all tests.
 test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"
 
-# All tests, as in CI: also the long ones, the compilation of all kernels for a GPU, and, last and alone, those that
-# measure time. The coverage of the host code is that of the tests that are neither long nor measure time.
+# All tests: also the long ones, and those that measure time, last and alone. The coverage of the host code is that of
+# the tests that are neither long nor measure time.
 test-all: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-fail-under=90; others=$$?; \
 	$(PYTEST) -m quiet $(QUIET) && exit $$others

@@ -60,7 +60,6 @@ FORMS = [
 ]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("unit", "ptx"), FORMS)
 def test_unit_compiles_for_compute_capability_90(unit, ptx):
     """To PTX, or to the code of the GPU. Functions that only a CPU calls are inlined.

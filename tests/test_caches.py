@@ -19,9 +19,9 @@ from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.common import capacity
 wp.init()
 load_module(wp.get_device("cpu"), capacity.__name__, 1)
-wanted, turn = wp.zeros((16, 2), dtype=int, device="cpu"), wp.zeros(1, dtype=int, device="cpu")
-wp.launch(capacity.close_row, dim=1, inputs=[wanted], outputs=[turn], device="cpu")
-print(turn.numpy()[0])
+wanted, row = wp.zeros((16, 2), dtype=int, device="cpu"), wp.zeros(1, dtype=int, device="cpu")
+wp.launch(capacity.close_row, dim=1, inputs=[wanted], outputs=[row], device="cpu")
+print(row.numpy()[0])
 """
 
 

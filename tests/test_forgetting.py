@@ -43,7 +43,6 @@ def live(sim, rng, rounds=8, steps=8):
         sim.step(steps)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seeds", [FEW, *MANY])
 def test_a_reset_gives_the_bits_of_a_fresh_start(seeds, device):
     """Of all environments, then of one of two, while the other one goes on."""
@@ -62,7 +61,6 @@ def test_a_reset_gives_the_bits_of_a_fresh_start(seeds, device):
         assert (seed, first_difference(shown_by(sim, 40, envs=[1]), alone)) == (seed, None)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seeds", [FEW, *MANY])
 def test_a_loaded_simulator_gives_the_bits_of_the_saved_one(seeds, device, tmp_path):
     """Beside it, and from the start after a reset."""
@@ -183,7 +181,6 @@ def assert_nothing_else_is_remembered(make, steps):
             assert changed == []
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seeds", [FEW, *MANY])
 def test_steps_remember_nothing_but_what_is_declared(seeds):
     for seed in seeds:

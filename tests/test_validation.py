@@ -29,7 +29,7 @@ def slug(case):
 
 
 LONG = ("V05", "V21", "V61", "V62", "V75", "V76", "V102", "V103")
-"""Cases that take longest."""
+"""Cases that take more than two seconds."""
 
 
 @pytest.mark.parametrize(

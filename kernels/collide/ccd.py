@@ -158,17 +158,17 @@ def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
 
 
 @wp.func
-def is_followed(a: int, b: int, number: int, rounds: int, motions: Motions):
+def is_followed(a: int, b: int, round_number: int, rounds: int, motions: Motions):
     """Whether a pair is traced in a round.
 
     In the late rounds, those after `rounds`, immovable bodies hold what they stop. Impacts of bodies that nothing holds
     are not followed any more. There are as many late rounds; the one after them traces pairs with immovable bodies
     only, so that the last impacts take nothing through a wall.
     """
-    if number < rounds:
+    if round_number < rounds:
         return True
     movable = motions.role[a] == Role.FREE and motions.role[b] == Role.FREE
-    return lead_of(a, motions) != lead_of(b, motions) and number < 2 * rounds + wp.where(movable, 0, 1)
+    return lead_of(a, motions) != lead_of(b, motions) and round_number < 2 * rounds + wp.where(movable, 0, 1)
 
 
 @wp.kernel
@@ -187,25 +187,25 @@ def list_fast_pairs(
 
     A body that is hit moves otherwise, so a further round traces the pairs whose relative motion has changed.
     """
-    number = suspects.round[0]
+    round_number = suspects.round[0]
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if number == 0 or motions.changed[a] == 1 or motions.changed[b] == 1:
+        if round_number == 0 or motions.changed[a] == 1 or motions.changed[b] == 1:
             size = traced_size(a, b, shapes, bodies)
             first = course_of(a, bodies, state, motions)
             second = course_of(b, bodies, state, motions)
             change = relative_motion(latest_change(a, first, motions), latest_change(b, second, motions), dt)
             suspects.untraced[pair] += change
-            if not is_followed(a, b, number, envs.impact_rounds[bodies.env[a]], motions):
+            if not is_followed(a, b, round_number, envs.impact_rounds[bodies.env[a]], motions):
                 continue
-            if number > 0 and suspects.untraced[pair] <= LEFT_OF_DEPTH * ALLOWED_DEPTH * size:
+            if round_number > 0 and suspects.untraced[pair] <= LEFT_OF_DEPTH * ALLOWED_DEPTH * size:
                 continue
             suspects.untraced[pair] = 0.0
             way = relative_motion(first, second, dt)
             if way < ALLOWED_DEPTH * size or not may_touch(shapes, first, second, dt):
                 continue
-            if number == 0 and way <= FAST_TRAVEL * size and not was_hit(a, b, first, second, size, dt, state):
+            if round_number == 0 and way <= FAST_TRAVEL * size and not was_hit(a, b, first, second, size, dt, state):
                 continue
             if not stays_clear(first, second, pairs.axis[pair], dt, size, shapes):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair

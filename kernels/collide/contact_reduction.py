@@ -43,13 +43,6 @@ SLOTS = wp.constant(PATCH_SLOTS)
 MOST_PATCHES = wp.constant(PATCHES)
 
 
-FIRST = wp.constant(wp.vec2(0.9, 0.43588989))
-"""The first direction, in terms of the tangents. Boxes have corners, and no edges, in the eight directions."""
-
-BETWEEN = wp.constant(wp.vec2(0.32817533, 0.94461734))
-"""The second direction, turned by 45 degrees."""
-
-
 @wp.struct
 class Ranking:
     """How the gaps of a pair's samples count.
@@ -114,12 +107,17 @@ def tangent_along(load: wp.vec3, n: wp.vec3):
 
 @wp.func
 def extent(k: int, x: float, y: float):
-    """Extent of a point (x, y) of the tangent plane in one of eight directions that are 45 degrees apart."""
-    first = FIRST
+    """Extent of a point (x, y) of the tangent plane in one of eight directions that are 45 degrees apart.
+
+    The first is at 26 degrees to x: boxes have corners, and no edges, in the eight directions.
+    """
+    c = float(0.9)
+    s = float(0.43588989)
     if k % 2 == 1:
-        first = BETWEEN
-    along = first[0] * x + first[1] * y
-    across = first[0] * y - first[1] * x
+        c = 0.32817533
+        s = 0.94461734
+    along = c * x + s * y
+    across = c * y - s * x
     quarter = k / 2
     return wp.where(quarter % 2 == 0, along, across) * wp.where(quarter < 2, 1.0, -1.0)
 
@@ -173,7 +171,10 @@ def offer_sample(
             gap = wp.max(touch.gap, -ranking.deepest)
             if touch.left < COMES_NEAR * touch.gap:
                 gap = wp.min(gap, ranking.furthest)
-            score = wp.where(loaded, extent_under_load(k, x, y), extent(k, x, y)) - counts * gap
+            if loaded:
+                score = extent_under_load(k, x, y) - counts * gap
+            else:
+                score = extent(k, x, y) - counts * gap
         best = pairs.slots[pair, patch * SLOTS + k]
         if best.place < 0 or score > best.score + TIE * size * counts:
             pairs.slots[pair, patch * SLOTS + k] = SlotRecord(place, score, touch.gap, touch.left)

@@ -94,10 +94,8 @@ class Pools:
     def allocate(cls, layout: Layout, sizes: dict[str, int], device: Any) -> "Pools":
         """Allocate empty pools of these sizes (see `sizes_for`)."""
         arrays = {name: declare.allocate(struct, sizes, device) for name, struct in STRUCTS.items()}
-        wanted_row, wanted = (
-            wp.zeros(1, dtype=int, device=device),
-            wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device),
-        )
+        wanted_row = wp.zeros(1, dtype=int, device=device)
+        wanted = wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device)
         return cls(layout=layout, sizes=sizes, wanted_row=wanted_row, wanted=wanted, **arrays)
 
     def begin(self) -> None:

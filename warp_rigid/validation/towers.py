@@ -49,7 +49,7 @@ def cases(quick: bool) -> Cases:
         toppling(4 if quick else 16),
         pyramid(8 if quick else 20, 1.0 if quick else 10.0),
         falling_towers(2.0 if quick else 6.0),
-        falling_piles(5.0 if quick else 8.0, 20 if quick else 40),
+        falling_piles(4.0 if quick else 8.0, 20 if quick else 40),
         card_house(2, 1.0 if quick else 2.0),
     ]
     return listed if quick else [*listed, beams(10.0), balls_that_spread(10.0)]
