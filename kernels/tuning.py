@@ -58,8 +58,8 @@ MOST_CALM = wp.constant(30)
 
 MOST_IN_MOTION = wp.constant(6)
 """Maximum sweeps with momentum over several bodies that were placed where they are and move, such as a tower that
-topples, as a multiple of `contact_iterations`. Without these sweeps, impulses that have not converged add up to 2e-4 of
-its potential energy, with half as many 4e-6, with these nothing that can be measured."""
+topples, as a multiple of `contact_iterations`. Without these sweeps, overlaps arise, whose push-out adds 1e-4 of its
+potential energy."""
 
 CALM_CONVERGED = wp.constant(2.5e-4)
 """Sweeps with momentum end when no row changes a velocity by more than this [velocity units]."""

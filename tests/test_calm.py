@@ -94,11 +94,11 @@ def test_a_single_body_in_motion_is_not_swept_further(device):
 
 
 def test_impulses_add_no_energy_to_towers_that_topple(device):
-    """Less than 1e-8 of the potential energy; with ten sweeps it was up to 2e-4."""
-    towers_of_ten = towers.leaning([0.149, 0.15, 0.151], ["default"] * 3, 1.0)
-    trace = towers_of_ten.run(str(device))
-    assert trace.linear_velocity[-1].max() > 0.1
-    assert towers.gained(lambda t: t.work_free_energy)(trace).max() < 1e-8
+    """Relative to the potential energy; unless impulses are scaled to the minimum of the energy, one gains 2e-7."""
+    offsets = np.random.default_rng(3).uniform(0.145, 0.155, 61)
+    trace = towers.leaning(offsets.tolist(), ["default"] * len(offsets), 1.0).run(str(device))
+    assert (trace.linear_velocity[-1].max(axis=(1, 2)) > 0.1).all()
+    assert towers.gained(lambda t: t.work_free_energy)(trace).max() < 5e-8
 
 
 def test_a_calm_island_is_swept_further_beside_a_moving_one(device):

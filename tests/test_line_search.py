@@ -1,4 +1,4 @@
-"""The line search over the whole contact solver: the initial impulses of an impact add no energy."""
+"""The line search over the whole contact solver: impulses add no energy."""
 
 import pytest
 
@@ -7,8 +7,8 @@ from warp_rigid.validation import towers
 
 @pytest.mark.long
 def test_impulses_add_no_energy_to_falling_piles(device):
-    """Twelve piles of 40 bodies; without the search, two of them gain more than 1e-4 of the energy of their fall."""
+    """Twelve piles of 40 bodies, relative to the energy of their fall; without the search, two of them gain 1e-4."""
     [pile] = towers.falling_piles(2.0, 40).experiments
     gain = towers.gained(lambda t: t.work_free_energy)(pile.run(str(device)))
     assert len(gain) == 13
-    assert gain.max() < 2e-5
+    assert gain.max() < 1e-6

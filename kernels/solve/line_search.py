@@ -1,4 +1,4 @@
-"""Line searches: ensure that neither two-pass shock propagation nor the whole contact solver increases the energy.
+"""Line searches: ensure that neither two-pass shock propagation nor the impulses of a step increase the energy.
 
 The two passes give a search direction. With v0, l0 the velocities and impulses before the passes and dv, dl their
 change, the contact problem's energy f(l) = v.Mv / 2 + b.l along the segment is a parabola. Its minimum
@@ -8,10 +8,10 @@ change, the contact problem's energy f(l) = v.Mv / 2 + b.l along the segment is 
 is computed for each island. The friction cones are convex, so impulses stay admissible, and f never increases. Since
 dv = M^-1 J^T dl, both sums can be computed over the contacts: v0.M dv = sum dl.(J v0) and dv.M dv = sum dl.(J dv).
 
-The initial impulses of a step may increase f: those of an impact are many times larger than what the next step
-requires, and few sweeps do not reduce all of them. A second search therefore compares the end of the contact solver
-with the velocities before it, where all impulses are 0. The energy has increased if t < 1/2. The velocities and
-impulses of the island are then scaled to the minimum.
+The impulses of a step that have not converged may increase the energy. Those of an impact do, as initial impulses of
+the next step: they are many times larger than what that step requires, and few sweeps do not reduce all of them. A
+second search therefore starts at the velocities before the contact solver, where all impulses are 0. At its end, the
+work of an island's impulses at the velocities that they lead to is not positive.
 """
 
 import warp as wp
@@ -176,14 +176,13 @@ def leave_joined(first: int, last: int, team: Team, graph: Graph):
 
 @wp.func
 def share_without_gain(island: int, graph: Graph):
-    """Factor on all impulses of an island: below 1 if it moves and the impulses have increased its energy."""
-    t = accepted_share(island, graph)
-    return wp.where(t < 0.5 and graph.island_speed[island] > HARDLY, t, 1.0)
+    """Factor on all impulses of an island: the step length of the second search if the island moves, otherwise 1."""
+    return wp.where(graph.island_speed[island] > HARDLY, accepted_share(island, graph), 1.0)
 
 
 @wp.func
 def may_gain(team: Team, envs: Environments, order: Order, graph: Graph):
-    """Whether the contact solver may have increased the energy of an island that moves."""
+    """Whether the second search applies: there is an island that moves, whose impulses may not have converged."""
     env = team.env
     if envs.shock_propagation[env] != ShockMode.TWO_PASS or envs.warm_starting[env] == 0:
         return False
@@ -198,7 +197,7 @@ def may_gain(team: Team, envs: Environments, order: Order, graph: Graph):
 
 @wp.func
 def prevent_gain(team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
-    """Scale the impulses of the islands whose energy the contact solver has increased."""
+    """Scale the impulses of the islands that move to the minimum of the energy."""
     env = team.env
     if not may_gain(team, envs, order, graph):
         return
