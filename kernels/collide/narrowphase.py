@@ -28,6 +28,7 @@ from warp_rigid.kernels.collide.culling import cluster_is_near, sample_is_near
 from warp_rigid.kernels.collide.near_samples import KEPT, NearSamples
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.team import (
+    MOST_REGISTERS,
     ballot,
     bits_below,
     broadcast_integer,
@@ -233,7 +234,7 @@ def list_cluster(
     return listing
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=MOST_REGISTERS)
 def list_near_samples(
     sharing: Sharing,
     lanes: int,

@@ -30,7 +30,7 @@ from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, deepest_hidden, way_out
 from warp_rigid.kernels.collide.samples import MUCH_DEEPER
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
-from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
+from warp_rigid.kernels.common.team import MOST_REGISTERS, ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.tuning import CONTACT_DISTANCE, REUSE_TRAVEL
@@ -298,7 +298,7 @@ def choose(
     return kept
 
 
-@wp.kernel(module=NARROWPHASE)
+@wp.kernel(module=NARROWPHASE, cuda_max_registers=MOST_REGISTERS)
 def choose_contacts(
     sharing: Sharing,
     lanes: int,

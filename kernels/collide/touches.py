@@ -17,6 +17,7 @@ from warp_rigid.kernels.collide.samples import place_sample
 from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.symmetry import spin_of_surface
+from warp_rigid.kernels.common.team import MOST_REGISTERS
 from warp_rigid.kernels.enums import SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.tuning import CLEARLY, CONTACT_DISTANCE, FURTHEST_PATH, SLOW_APPROACH, TURNED_BACK
@@ -248,7 +249,7 @@ def touching(
     return result
 
 
-@wp.kernel(module=NARROWPHASE)
+@wp.kernel(module=NARROWPHASE, cuda_max_registers=MOST_REGISTERS)
 def touch_near_samples(
     which: int,
     sharing: Sharing,

@@ -21,6 +21,10 @@ CLUSTER = BLOCK * BLOCKS_OF_A_CLUSTER
 SMALL_BLOCK = 64
 """Lanes of a CUDA block for teams within a warp; small, so that few environments are spread over the whole GPU."""
 
+MOST_REGISTERS = 128
+"""Registers of a lane, at most, in the kernels that would use more: 16 warps are then resident on a multiprocessor, and
+hide each other's waiting. Less costs more in memory traffic than it gains."""
+
 
 def block_of(lanes: int) -> int:
     """Lanes of a CUDA block for teams with the given number of lanes."""

@@ -11,6 +11,7 @@ from warp_rigid.kernels.collide.parting import is_parting
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of
 from warp_rigid.kernels.common.tangents import tangent_of, world_vector
+from warp_rigid.kernels.common.team import MOST_REGISTERS
 from warp_rigid.kernels.constraints.contact import (
     ANGULAR_IMPULSE,
     IMPULSE,
@@ -194,7 +195,7 @@ def build_row(a: int, b: int, touch: Touch, dt: float, size: float, bodies: Bodi
     return with_masses(row, a, b, bodies, motions)
 
 
-@wp.kernel(module=NARROWPHASE)
+@wp.kernel(module=NARROWPHASE, cuda_max_registers=MOST_REGISTERS)
 def build_contacts(
     sharing: Sharing,
     lanes: int,

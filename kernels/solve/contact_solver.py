@@ -6,7 +6,7 @@ between the parts, each of which then has a launch of its own (engine/joints.py)
 
 import warp as wp
 
-from warp_rigid.kernels.common.team import sync_team, team_of
+from warp_rigid.kernels.common.team import MOST_REGISTERS, sync_team, team_of
 from warp_rigid.kernels.enums import SolverPart
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.calm import sweep_calm_islands
@@ -24,7 +24,7 @@ def has(parts: int, part: int):
     return (parts & part) != 0
 
 
-@wp.kernel(cuda_max_registers=128)
+@wp.kernel(cuda_max_registers=MOST_REGISTERS)
 def solve_contacts(
     parts: int,
     repetition: int,
