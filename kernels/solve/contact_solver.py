@@ -11,7 +11,7 @@ from warp_rigid.kernels.enums import SolverPart
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.calm import sweep_calm_islands
 from warp_rigid.kernels.solve.gauss_seidel import sweep_constraints, warm_start
-from warp_rigid.kernels.solve.line_search import accept, prevent_gain, searched, store_before_shock, sum_energy
+from warp_rigid.kernels.solve.line_search import accept, scale_to_minimum, searched, store_before_shock, sum_energy
 from warp_rigid.kernels.solve.rest import stop_resting_islands
 from warp_rigid.kernels.solve.shock import is_propagated, propagate
 
@@ -69,4 +69,4 @@ def solve_contacts(
     if has(parts, SolverPart.CALM):
         sweep_calm_islands(dt, team, envs, order, graph, motions, contacts)
         sync_team(team)
-        prevent_gain(team, envs, order, graph, motions, contacts)
+        scale_to_minimum(team, envs, order, graph, motions, contacts)

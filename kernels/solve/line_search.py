@@ -8,10 +8,11 @@ change, the contact problem's energy f(l) = v.Mv / 2 + b.l along the segment is 
 is computed for each island. The friction cones are convex, so impulses stay admissible, and f never increases. Since
 dv = M^-1 J^T dl, both sums can be computed over the contacts: v0.M dv = sum dl.(J v0) and dv.M dv = sum dl.(J dv).
 
-The impulses of a step that have not converged may increase the energy. Those of an impact do, as initial impulses of
-the next step: they are many times larger than what that step requires, and few sweeps do not reduce all of them. A
-second search therefore starts at the velocities before the contact solver, where all impulses are 0. At its end, the
-work of an island's impulses at the velocities that they lead to is not positive.
+The impulses of a step that have not converged may increase the energy. An example is the step after an impact: the
+initial impulses are those of the impact, many times larger than what the step requires, and few sweeps do not reduce
+all of them. A second search therefore starts at the velocities before the contact solver, where all impulses are 0. At
+its end, the work of an island's impulses at the velocities that they lead to is not positive. It is executed with two
+passes and warm starting, for islands that move and have no joints. Mechanisms have a search of their own, heaps none.
 """
 
 import warp as wp
@@ -175,14 +176,14 @@ def leave_joined(first: int, last: int, team: Team, graph: Graph):
 
 
 @wp.func
-def share_without_gain(island: int, graph: Graph):
+def final_step_length(island: int, graph: Graph):
     """Factor on all impulses of an island: the step length of the second search if the island moves, otherwise 1."""
     return wp.where(graph.island_speed[island] > HARDLY, accepted_share(island, graph), 1.0)
 
 
 @wp.func
-def may_gain(team: Team, envs: Environments, order: Order, graph: Graph):
-    """Whether the second search applies: there is an island that moves, whose impulses may not have converged."""
+def is_searched_again(team: Team, envs: Environments, order: Order, graph: Graph):
+    """Whether an environment has a second search: with two passes and warm starting, if an island moves."""
     env = team.env
     if envs.shock_propagation[env] != ShockMode.TWO_PASS or envs.warm_starting[env] == 0:
         return False
@@ -196,10 +197,10 @@ def may_gain(team: Team, envs: Environments, order: Order, graph: Graph):
 
 
 @wp.func
-def prevent_gain(team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+def scale_to_minimum(team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """Scale the impulses of the islands that move to the minimum of the energy."""
     env = team.env
-    if not may_gain(team, envs, order, graph):
+    if not is_searched_again(team, envs, order, graph):
         return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
@@ -208,12 +209,12 @@ def prevent_gain(team: Team, envs: Environments, order: Order, graph: Graph, mot
     add_terms(team, order, graph, motions)
     leave_joined(first, last, team, graph)
     for b in range(first + team.lane, last, team.lanes):
-        t = share_without_gain(graph.island[b], graph)
+        t = final_step_length(graph.island[b], graph)
         if t < 1.0:
             scale_change(b, t, BEFORE_CONTACTS, motions)
     for k in range(first_entry(team, order), end_of_entries(env, order), team.lanes):
         entry = entry_at(k, order)
-        t = share_without_gain(island_of(entry, motions, graph), graph)
+        t = final_step_length(island_of(entry, motions, graph), graph)
         if t < 1.0:
             for row in range(entry.begin, entry.end):
                 scale_row(row, t, contacts)
