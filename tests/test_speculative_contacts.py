@@ -65,17 +65,17 @@ def lowest_gap(sim, body):
     return low
 
 
-@pytest.mark.parametrize(
-    ("case", "bound"), [("pile_torus:16", 2.2e-3), pytest.param("pile_bunny:16", 2.4e-3, marks=pytest.mark.long)]
-)
-def test_nonconvex_bodies_that_land_hardly_overlap(device, case, bound):
-    """Deepest overlap of eight piles in 1.2 s at four steps per frame. Before speculative contacts: 4 to 6 mm."""
+@pytest.mark.parametrize("case", ["pile_torus:16", pytest.param("pile_bunny:16", marks=pytest.mark.long)])
+def test_nonconvex_bodies_that_land_hardly_overlap(device, case):
+    """Mean of the deepest overlaps of eight piles in 1.2 s at four steps per frame: 0.4 to 0.7 mm.
+
+    Without speculative contacts, 2.6 mm in tori and 1.6 mm in bunnies.
+    """
     case = find_case(case)
     sim = Simulator(case.build(), num_envs=8, settings=Settings(dt=DT), device=device)
     case.scatter(sim)
-    deepest = 0.0
+    deepest = np.zeros(8)
     for _ in range(72):
-        for _ in range(4):
-            sim.step()
-        deepest = max(deepest, sim.penetration().max())
-    assert deepest < bound
+        sim.step(4)
+        deepest = np.maximum(deepest, sim.penetration())
+    assert deepest.mean() < 1.2e-3

@@ -1,5 +1,9 @@
 """Contact choice: the touching samples of each pair are reduced to a few contacts (contact_reduction.py).
 
+Contacts that carry a body at rest are kept as long as they touch. The reduction might replace them by samples that are
+further out and do not touch, onto which the body would sink. Convex solids have few samples, of which it finds all that
+carry them.
+
 Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
 each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Others come apart along one
 direction, as long as samples that are no contacts are inside (parting.py). If there are none, the contact is made with
@@ -32,7 +36,7 @@ from warp_rigid.kernels.collide.samples import MUCH_DEEPER
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.team import MOST_REGISTERS, ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind
-from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.tuning import CONTACT_DISTANCE, REUSE_TRAVEL
 from warp_rigid.kernels.update.predict import smaller_size
 
@@ -189,6 +193,49 @@ def add_contact(pair: int, key: int, kept: int, lane: int, pairs: Pairs):
 
 
 @wp.func
+def touching_place(pair: int, key: int, size: float, lane: int, lanes: int, near: NearSamples):
+    """Place of the sample with a key among the near samples of a pair, -1 if it does not touch."""
+    found = int(-1)
+    batch = near.first[pair]
+    while batch >= 0:
+        end = near.end[batch]
+        for k in range(batch + lane, end, lanes):
+            touches = near.gap[k] < CONTACT_DISTANCE * size and near.closing[k] != CROSSED
+            if touches and near.key[k] == key:
+                found = k
+        batch = near.next[batch]
+    hits = ballot(wp.where(found >= 0, 1, 0), lanes)
+    if hits == wp.uint32(0):
+        return -1
+    return broadcast_integer(found, lowest_bit(hits), lanes)
+
+
+@wp.func
+def keep_loaded(
+    pair: int, chosen: int, size: float, lane: int, lanes: int, near: NearSamples, history: History, pairs: Pairs
+):
+    """Add the contacts that carried load in the last step and still touch, if the pair was at rest.
+
+    Returns the number of contacts.
+    """
+    kept = int(chosen)
+    last = pairs.last[pair]
+    if last < 0 or history.searched[last] == 0:
+        return kept
+    for c in range(history.contact_start[last], history.contact_start[last + 1]):
+        if kept < MOST_KEPT and history.key[c] >= 0 and wp.length_sq(history.impulse[c]) > 0.0:
+            place = touching_place(pair, history.key[c], size, lane, lanes, near)
+            for k in range(kept):
+                if pairs.kept[pair, k] == place:
+                    place = -1
+            sync_warp(lanes)
+            if place >= 0:
+                kept = add_contact(pair, place, kept, lane, pairs)
+            sync_warp(lanes)
+    return kept
+
+
+@wp.func
 def offer_near_samples(
     pair: int, ranking: Ranking, size: float, lane: int, lanes: int, state: State, near: NearSamples, pairs: Pairs
 ):
@@ -258,18 +305,19 @@ def choose(
     lane: int,
     lanes: int,
     dt: float,
-    size: float,
     edges: int,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
     motions: Motions,
     near: NearSamples,
+    history: History,
     pairs: Pairs,
 ):
     """Choose the samples that become contacts of a pair. Returns the number of contacts, 0 if no sample closes."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
+    size = smaller_size(a, b, shapes, bodies)
     if lane == 0:
         pairs.patch_count[pair] = 0
     sync_warp(lanes)
@@ -288,6 +336,8 @@ def choose(
         sync_warp(lanes)
     kept = int(keep_slots(pair, size, lane, lanes, pairs))
     sync_warp(lanes)
+    if not solid:
+        kept = keep_loaded(pair, kept, size, lane, lanes, near, history, pairs)
     kept *= closing
     if along == 1:
         return add_contact(pair, BY_AXIS, kept, lane, pairs)
@@ -309,6 +359,7 @@ def choose_contacts(
     motions: Motions,
     envs: Environments,
     near: NearSamples,
+    history: History,
     pairs: Pairs,
 ):
     """The teams share the listed pairs: choose the samples that represent a pair's contact.
@@ -321,13 +372,13 @@ def choose_contacts(
     for k in range(rows.first, rows.end, rows.stride):
         pair = pairs.candidates[k]
         a = pairs.body_a[pair]
-        size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
+        b = pairs.body_b[pair]
         edges = envs.edge_samples[bodies.env[a]]
         if lane == 0:
-            way = travel(a, pairs.body_b[pair], dt, 0.0, state, motions)
-            pairs.searched[pair] = wp.where(way < REUSE_TRAVEL * size, edges + 1, 0)
+            moves = travel(a, b, dt, 0.0, state, motions) >= REUSE_TRAVEL * smaller_size(a, b, shapes, bodies)
+            pairs.searched[pair] = wp.where(moves, 0, edges + 1)
         sync_warp(lanes)
-        kept = choose(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, near, pairs)
+        kept = choose(pair, lane, lanes, dt, edges, shapes, bodies, state, motions, near, history, pairs)
         if lane == 0:
             approach = smaller_approach(pair, bodies, state, motions, pairs)
             pairs.contact_count[pair] = kept

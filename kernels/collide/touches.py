@@ -26,6 +26,10 @@ from warp_rigid.kernels.update.predict import smaller_size
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
+CROSSING_EDGE = wp.constant(0.1)
+"""Largest cosine between an edge and the normal of a surface that it crosses. At an end of an edge the cosine is
+larger. That point is a corner; points beside it would stop it at the next tile."""
+
 PATH_DISTANCES = wp.constant(6)
 """Maximum number of distances along a path. They are enough for curved surfaces."""
 
@@ -100,6 +104,39 @@ def way_of(
 
 
 @wp.func
+def is_inside_edge(s: int, placed: Search, shapes: Shapes):
+    """Whether the nearest point of a sample is a point of an edge between its ends."""
+    across = wp.abs(wp.dot(placed.along, placed.direction)) < CROSSING_EDGE
+    return shapes.samples[s].kind == SampleKind.EDGE and across
+
+
+@wp.func
+def across_edge(placed: Search, own: Course, other: Course, at: wp.vec3):
+    """The motion of a body without that of the nearest point of its edge along this edge.
+
+    `placed`: that point. `at`: position of the other body's shape.
+    """
+    arm = wp.quat_rotate(other.turn, placed.query) + at - own.center
+    back = closing_speed(own, other, arm, placed.query, placed.along, 0.0)
+    own.linear += back * wp.quat_rotate(other.turn, placed.along)
+    return own
+
+
+@wp.func
+def beside(way: Way, placed: Search, shift: float, other: Course):
+    """The path of another point of an edge, at most at its end; the distance at the start of the path is not known.
+
+    `shift`: from the nearest point along the edge [m].
+    """
+    t = wp.dot(placed.query - placed.start, placed.along)
+    aside = (wp.clamp(t + shift, -placed.half, placed.half) - t) * placed.along
+    way.start += aside
+    way.arm += wp.quat_rotate(other.turn, aside)
+    way.first[3] = -FAR
+    return way
+
+
+@wp.func
 def stays_outside(
     way: Way, own: Course, other: Course, dt: float, steps: float, allowed: float, near: float, shapes: Shapes
 ):
@@ -121,7 +158,7 @@ def stays_outside(
         x = place_at(own, other, way.arm, wp.min(t, 1.0) * dt) + wp.max(t - 1.0, 0.0) * way.step
         d = signed_distance(shapes, other.shape, x, near)
         gap = d[3] - way.radius
-        if gap < -allowed or (gap < allowed and wp.dot(gradient(d), way.facing) > OPPOSED):
+        if gap < -allowed or (t > 0.0 and gap < allowed and wp.dot(gradient(d), way.facing) > OPPOSED):
             return False
         slope = wp.dot(gradient(d), way.step)
         if t < 1.0:
@@ -147,6 +184,34 @@ def stays_outside(
 
 
 @wp.func
+def all_stay_outside(
+    sides: int,
+    way: Way,
+    placed: Search,
+    own: Course,
+    other: Course,
+    dt: float,
+    steps: float,
+    allowed: float,
+    near: float,
+    shapes: Shapes,
+):
+    """Whether a sample stays out of a shape, and with `sides` = 1 also points to both sides of it on its edge.
+
+    They are as far from it as it moves. The nearest point of the edge is then between them if the edge crosses one of
+    the other body at 45 degrees or more.
+    """
+    shift = steps * wp.length(way.step)
+    for side in range(-sides, sides + 1):
+        path = way
+        if side != 0:
+            path = beside(way, placed, float(side) * shift, other)
+        if not stays_outside(path, own, other, dt, steps, allowed, near + shift, shapes):
+            return False
+    return True
+
+
+@wp.func
 def passes_by(
     s: int,
     placed: Search,
@@ -164,8 +229,10 @@ def passes_by(
     An example is a corner that slides towards the next tile of a floor: the nearest point is on the edge of the tile,
     the corner moves along the normal there, and arrives above the tile. A contact would stop it. The way is that of the
     surface at the velocities before the step, continued straight on until it clearly passes the plane of the contact.
-    The side of a rolling disc does not come nearer, although its material does. A body that can move may be pushed into
-    the way within the step, so its contacts are kept.
+    The side of a rolling disc does not come nearer, although its material does. The motion of
+    an edge along itself does not count. When it moves across itself, another point of it may become the nearest one, so
+    points to both sides of that one must miss the body, too. Bodies that can move may be pushed into the way, so their
+    contacts are kept.
 
     `material_fall`: the approach in the step at the velocity of the contact point [m].
     """
@@ -177,6 +244,9 @@ def passes_by(
         return False
     own = course_before(approach.own, shapes, bodies, state, motions)
     other = course_before(approach.other, shapes, bodies, state, motions)
+    is_edge = is_inside_edge(s, placed, shapes)
+    if is_edge:
+        own = across_edge(placed, own, other, state.position[approach.other])
     way = way_of(s, placed, approach, own, other, dt, shapes, state)
     gap = placed.distance
     fall = -wp.dot(way.step, placed.direction)
@@ -190,7 +260,7 @@ def passes_by(
     ):
         return False
     near = way.radius + steps * wp.length(way.step)
-    return stays_outside(way, own, other, dt, steps, allowed, near, shapes)
+    return all_stay_outside(wp.where(is_edge, 1, 0), way, placed, own, other, dt, steps, allowed, near, shapes)
 
 
 @wp.func

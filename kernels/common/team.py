@@ -22,8 +22,8 @@ SMALL_BLOCK = 64
 """Lanes of a CUDA block for teams within a warp; small, so that few environments are spread over the whole GPU."""
 
 MOST_REGISTERS = 128
-"""Registers of a lane, at most, in the kernels that would use more: 16 warps are then resident on a multiprocessor, and
-hide each other's waiting. Less costs more in memory traffic than it gains."""
+"""Registers of a lane, at most, in the solver and the contact search, which would use up to 255: 16 warps are then
+resident on a multiprocessor, and hide each other's waiting. Piles are 4 to 11 % faster; 96 registers gain nothing."""
 
 
 def block_of(lanes: int) -> int:

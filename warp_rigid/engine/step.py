@@ -487,7 +487,7 @@ class Stages:
             inputs, outputs = [*self.moving, pairs, pools.wanted_row], [near, pools.wanted]
             self.share(touches.touch_near_samples, samples, inputs, outputs, before=[NEAR_SAMPLES])
             chosen = pair_contacts.choose_contacts
-            self.share(chosen, size, [*searched, near], [pairs], lanes=self.search.choosing)
+            self.share(chosen, size, [*searched, near, pools.history], [pairs], lanes=self.search.choosing)
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
