@@ -17,6 +17,9 @@ GYMNASIUM = (
     "hopper.xml",
     "humanoid.xml",
     "inverted_double_pendulum.xml",
+    "inverted_pendulum.xml",
+    "reacher.xml",
+    "swimmer.xml",
     "walker2d_v5.xml",
 )
 NEWTON = ("cartpole.urdf", "quadruped.urdf")
