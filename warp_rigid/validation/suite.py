@@ -16,6 +16,7 @@ from warp_rigid.validation import (
     mass_and_distance,
     nonconvex,
     passive_mechanisms,
+    robustness,
     rolling,
     sliding,
     smooth_motion,
@@ -41,6 +42,7 @@ SECTIONS = (
     articulated,
     passive_mechanisms,
     conveyors,
+    robustness,
 )
 CPU = "cpu"
 
