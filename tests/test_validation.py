@@ -1,6 +1,8 @@
 """The validation: its quick cases hold on every device, and its table, files and exit status tell the truth."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -244,3 +246,13 @@ def test_comparison_of_shock_alternatives(capsys, monkeypatch):
     out = capsys.readouterr().out
     assert "STANDS" in out and "COLLAPSES" in out and "1 of 2" in out and "2 of 2" in out
     assert cli.main(["validate", "--compare-shock", "-o", "anywhere"]) == 2
+
+
+def test_cases_are_listed_without_optional_packages():
+    program = (
+        "import sys\nfrom warp_rigid.extras import EXTRAS\n"
+        "sys.modules.update(dict.fromkeys(EXTRAS))\n"
+        "from warp_rigid.validation.suite import all_cases\nprint(len(all_cases()))"
+    )
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", program], capture_output=True, text=True, check=True)
+    assert int(done.stdout.split()[-1]) == len(suite.all_cases())
