@@ -201,7 +201,7 @@ def all_stay_outside(
     They are as far from it as it moves. The nearest point of the edge is then between them if the edge crosses one of
     the other body at 45 degrees or more.
     """
-    shift = steps * wp.length(way.step)
+    shift = float(sides) * steps * wp.length(way.step)
     for side in range(-sides, sides + 1):
         path = way
         if side != 0:
@@ -229,10 +229,9 @@ def passes_by(
     An example is a corner that slides towards the next tile of a floor: the nearest point is on the edge of the tile,
     the corner moves along the normal there, and arrives above the tile. A contact would stop it. The way is that of the
     surface at the velocities before the step, continued straight on until it clearly passes the plane of the contact.
-    The side of a rolling disc does not come nearer, although its material does. The motion of
-    an edge along itself does not count. When it moves across itself, another point of it may become the nearest one, so
-    points to both sides of that one must miss the body, too. Bodies that can move may be pushed into the way, so their
-    contacts are kept.
+    The side of a rolling disc does not come nearer, although its material does. The motion of an edge along itself does
+    not count. When it moves across itself, another point of it may become the nearest one, so points to both sides of
+    that one must miss the body, too. Bodies that can move may be pushed into the way, so their contacts are kept.
 
     `material_fall`: the approach in the step at the velocity of the contact point [m].
     """
