@@ -7,6 +7,7 @@ import pytest
 
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.joints.kinds import RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Plane
 
@@ -42,6 +43,32 @@ def test_an_equal_box_lands_on_four_contacts(free):
 def test_an_equal_box_bounces_without_turning(restitution):
     spin, drift, contacts = land(0.1, 1, 0.15, False, 0.0, restitution, 1 / 240)
     assert (spin < 1e-4, drift < 1e-4, contacts) == (True, True, 4), (spin, drift)
+
+
+@pytest.mark.parametrize("joined", [False, True], ids=["body", "mechanism"])
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+@pytest.mark.parametrize("overhang", [2, 5, 10])
+def test_an_elastic_box_bounces_off_a_narrow_base_without_turning(device, overhang, friction, joined):
+    """It spun with 0.07 rad/s at 10 : 1, and where joints hold a second box on it, with 2.4 rad/s.
+
+    Two boxes bounce, over the middle of their bases and 1 cm beside it. The contacts of the first get equal impulses.
+    """
+    offsets = (0.0, 0.01)
+    scene = Scene()
+    surface = {"restitution": 1.0, "friction": friction}
+    boxes = []
+    for k, offset in enumerate(offsets):
+        scene.add_static(Box((0.5 / overhang, 0.5 / overhang, 0.5)), position=(5 * k, 0, 0.5), **surface)
+        boxes.append(scene.add_body(Box((0.5,) * 3), position=(5 * k + offset, 0, 4), **surface))
+        if joined:
+            top = scene.add_body(Box((0.2,) * 3), position=(5 * k + offset, 0, 4.8), **surface)
+            scene.add_joint(RevoluteJoint((0, 0, 1)), top, boxes[k], anchor=(5 * k + offset, 0, 4.6))
+    sim = Simulator(scene, device=device)
+    sim.step(200)
+    assert np.all(sim.get("linear_velocity")[0, boxes, 2] > 5.5)
+    spin = np.abs(sim.get("angular_velocity")[0, boxes]).max(axis=1)
+    assert spin[0] < 1e-6
+    assert spin[1] < (4e-3 if overhang == 10 else 1e-5)
 
 
 @pytest.mark.long

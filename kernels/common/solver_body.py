@@ -158,6 +158,16 @@ def with_impulse(arm_a: wp.vec3, arm_b: wp.vec3, impulse: wp.vec3, pair: BodyPai
 
 
 @wp.func
+def at_rest(pair: BodyPair):
+    """The pair with velocities of 0."""
+    pair.linear_a = wp.vec3(0.0, 0.0, 0.0)
+    pair.angular_a = wp.vec3(0.0, 0.0, 0.0)
+    pair.linear_b = wp.vec3(0.0, 0.0, 0.0)
+    pair.angular_b = wp.vec3(0.0, 0.0, 0.0)
+    return pair
+
+
+@wp.func
 def with_angular_impulse(angular_impulse: wp.vec3, pair: BodyPair):
     """The bodies after applying an angular impulse [N m s] to the first, and its opposite to the second."""
     pair.angular_a += pair.inverse_inertia_a * angular_impulse

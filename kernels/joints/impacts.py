@@ -8,7 +8,7 @@ single bodies, since the contact solver follows.
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import VELOCITY, BodyPair, first_three, load_bodies, store_bodies
+from warp_rigid.kernels.common.solver_body import VELOCITY, BodyPair, at_rest, first_three, load_bodies, store_bodies
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.common.team import (
     MECHANISM_LANES,
@@ -48,8 +48,11 @@ from warp_rigid.kernels.joints.responses import move_mechanism
 from warp_rigid.kernels.schema import Constraints, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.pair_impact import (
     NO_IMPACT,
+    add_normal_impulses,
     energy_neutral_share,
+    equal_impulse,
     has_restitution,
+    is_impact,
     next_impact,
     note_impact,
     relative_pull,
@@ -57,7 +60,7 @@ from warp_rigid.kernels.solve.pair_impact import (
 )
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, note_change
 from warp_rigid.kernels.solve.shock import SKIPPED
-from warp_rigid.kernels.tuning import CONVERGED, IMPACT_ITERATIONS
+from warp_rigid.kernels.tuning import CONVERGED, GROUP_SWEEPS, IMPACT_ITERATIONS
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -110,6 +113,16 @@ def bounce_contact(c: int, visit: Visit, contacts: Contacts, joints: Joints):
 
 
 @wp.func
+def with_equal_pushes(entry: OrderRecord, impulse: float, visit: Visit, contacts: Contacts, joints: Joints):
+    """The visit after the same normal impulse at all impacts of its pair [N s]."""
+    for c in range(entry.begin, entry.end):
+        if is_impact(c, contacts):
+            row = read_contact(c, contacts.rows)
+            visit = pushed(row, impulse * row.normal, visit, joints)
+    return visit
+
+
+@wp.func
 def with_share(share: float, before: BodyPair, visit: Visit):
     """The visit after a share of its impulses."""
     visit.pair.linear_a = before.linear_a + share * (visit.pair.linear_a - before.linear_a)
@@ -126,8 +139,14 @@ def bounce_alone(entry: OrderRecord, dt: float, pull: wp.vec3, motions: Motions,
     """One lane solves the impacts of a pair with its responses, as `after_impact`."""
     visit = open_visit(entry, motions, joints)
     before = visit.pair
+    trial = visit
+    trial.pair = at_rest(before)
+    trial = with_equal_pushes(entry, 1.0, trial, contacts, joints)
+    impulse = equal_impulse(entry.begin, entry.end, before, trial.pair, contacts)[0]
+    add_normal_impulses(entry.begin, entry.end, impulse, contacts)
+    visit = with_equal_pushes(entry, impulse, visit, contacts, joints)
     unit = motions.velocity_unit[visit.a]
-    left = int(IMPACT_ITERATIONS)
+    left = int(GROUP_SWEEPS * IMPACT_ITERATIONS)
     while left > 0:
         visit.change = 0.0
         for c in range(entry.begin, entry.end):

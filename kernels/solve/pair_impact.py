@@ -14,7 +14,7 @@ left to the contact solver, and bounces once it has landed.
 import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
-from warp_rigid.kernels.common.solver_body import BodyPair, first_three, with_impulse
+from warp_rigid.kernels.common.solver_body import BodyPair, at_rest, first_three, relative_velocity, with_impulse
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
@@ -155,11 +155,67 @@ def note_impact(begin: int, end: int, keep: float, contacts: Contacts):
 
 
 @wp.func
+def is_impact(c: int, contacts: Contacts):
+    """Whether a contact belongs to the impacts of its pair."""
+    return read_impulse(contacts.impulses, c, IMPACT_IMPULSE)[3] > NO_IMPACT
+
+
+@wp.func
+def equal_impulse(begin: int, end: int, pair: BodyPair, response: BodyPair, contacts: Contacts):
+    """The equal normal impulse of all impacts of a pair that brings their mean normal velocity to its target.
+
+    Rounds over the contacts start from it: from zero, the first contact would stop the bodies alone, and the spin that
+    this gives them decays by as little as 6 % a round where the contacts are within a tenth of the body's width. The
+    result is 0 once contacts have impulses. `response`: the velocities that a unit impulse at every contact gives.
+    Returns the impulse [N s], and by how much it changes the mean velocity [m/s].
+    """
+    lacking = float(0.0)
+    gained = float(0.0)
+    total = float(0.0)
+    count = float(0.0)
+    for c in range(begin, end):
+        if is_impact(c, contacts):
+            stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+            row = read_contact(c, contacts.rows)
+            lacking += stored[3] - wp.dot(contact_velocity(row, pair), row.normal)
+            gained += wp.dot(relative_velocity(row.arm_a, row.arm_b, response), row.normal)
+            total += stored[0]
+            count += 1.0
+    impulse = wp.max(quotient(lacking, gained), 0.0)
+    if total > 0.0 or impulse == 0.0:
+        return wp.vec2(0.0, 0.0)
+    return wp.vec2(impulse, lacking / count)
+
+
+@wp.func
+def add_normal_impulses(begin: int, end: int, impulse: float, contacts: Contacts):
+    """Add the same normal impulse to those of all impacts of a pair [N s]."""
+    for c in range(begin, end):
+        if is_impact(c, contacts):
+            stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+            set_target_impulse(c, first_three(stored) + wp.vec3(impulse, 0.0, 0.0), stored[3], contacts)
+
+
+@wp.func
+def with_equal_impulses(begin: int, end: int, impulse: float, pair: BodyPair, contacts: Contacts):
+    """The bodies after the same normal impulse at all impacts of a pair [N s]."""
+    for c in range(begin, end):
+        if is_impact(c, contacts):
+            row = read_contact(c, contacts.rows)
+            pair = with_impulse(row.arm_a, row.arm_b, impulse * row.normal, pair)
+    return pair
+
+
+@wp.func
 def with_impacts(
     begin: int, end: int, mobility_a: float, mobility_b: float, unit: float, pair: BodyPair, contacts: Contacts
 ):
     """The bodies after rounds over the contacts of a pair, whose targets are set."""
-    largest = float(0.0)
+    response = with_equal_impulses(begin, end, 1.0, at_rest(pair), contacts)
+    start = equal_impulse(begin, end, pair, response, contacts)
+    add_normal_impulses(begin, end, start[0], contacts)
+    pair = with_equal_impulses(begin, end, start[0], pair, contacts)
+    largest = start[1]
     left = int(IMPACT_ITERATIONS)
     while left > 0:
         pair.change = 0.0

@@ -46,20 +46,32 @@ def rolling(steps) -> ValidationCase:
 
 
 def flush_landing() -> ValidationCase:
-    """A box that lands flush on a box of equal or double width."""
+    """A box that lands flush on a box of equal or double width, or bounces elastically on a narrower one."""
 
-    def scene(ratio: float):
-        below = static(Box((2 * HALF * ratio,) * 3), position=(0, 0, 2 * HALF * ratio), friction=0.6)
-        box = body(Box((2 * HALF,) * 3), position=(0, 0, 4 * HALF * ratio + 2 * HALF + 0.15), friction=0.6)
+    def scene(ratio: float, drop: float, **surface):
+        below = static(Box((2 * HALF * ratio,) * 3), position=(0, 0, 2 * HALF * ratio), **surface)
+        box = body(Box((2 * HALF,) * 3), position=(0, 0, 4 * HALF * ratio + 2 * HALF + drop), **surface)
         return in_space(below, box, gravity=EARTH)
 
+    landings = [
+        Experiment(scene(ratio, 0.15, friction=0.6), duration=1.0, label=f"width {ratio:g} : 1") for ratio in (1.0, 2.0)
+    ]
+    bounces = [
+        Experiment(
+            scene(1 / overhang, 2.5, friction=friction, restitution=1.0),
+            duration=1.0,
+            label=f"overhang {overhang:g} : 1, elastic, friction {friction:g}",
+        )
+        for overhang in (2.0, 5.0, 10.0)
+        for friction in (0.0, 0.5)
+    ]
     return case(
         "V101",
-        "box that lands flush on a box of equal or double width",
+        "box that lands flush on a wider box, or bounces on a narrower one",
         "symmetry",
         measured("largest spin", "rad/s", lambda t: np.abs(t.angular_velocity[:, :, 1]).max((0, 2)), at_most(1e-4)),
         measured("drift", "m", lambda t: np.abs(t.position[-1, :, 1, :2]).max(1), at_most(1e-4)),
-        of=tuple(Experiment(scene(ratio), duration=1.0, label=f"width {ratio:g} : 1") for ratio in (1.0, 2.0)),
+        of=(*landings, *bounces),
     )
 
 
