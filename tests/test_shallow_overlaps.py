@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import warp_rigid as wr
 from tests.oracles import rotation_matrix
 from tests.test_deep_starts import SHAPES
 from tests.test_rolling_floors import field, mesh
+from warp_rigid.scene.shapes import topology
 
 
 def slightly_overlapping(device, first, second, count):
@@ -67,6 +69,27 @@ def test_a_contact_shows_the_overlap_of_two_bodies(device, first, second, missed
     assert measured.sum() > 0.3 * count
     shown = depths_of_contacts(sim, count)
     assert np.sum(shown[measured] < 0.5 * overlaps[measured]) <= missed
+
+
+def test_an_open_mesh_touches_as_the_solid_with_its_holes_capped(device):
+    """Contacts with a coarse ball without its top, and overlaps, were those of its grid: off by a millimetre."""
+    ball = trimesh.creation.icosphere(1, 0.1)
+    top = np.argmax(ball.vertices[:, 2])
+    opened = wr.Mesh(ball.vertices, ball.faces[(ball.faces != top).all(axis=1)], sdf_resolution=16)
+    capped = wr.Mesh(*topology.close_boundaries(opened.vertices, opened.faces), sdf_resolution=64)
+    assert not opened.watertight and capped.watertight
+    count, cube = 200, wr.Box((0.02,) * 3)
+    sim, overlaps = slightly_overlapping(device, capped, cube, count)
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_body(opened)
+    scene.add_body(cube)
+    other = wr.Simulator(scene, count, device=device)
+    shift = capped.center_of_mass - opened.center_of_mass
+    assert np.abs(shift).max() < 1e-12
+    for name in ("position", "orientation"):
+        other.set(name, sim.get(name))
+    np.testing.assert_allclose(other.penetration(), overlaps, atol=1e-6)
+    np.testing.assert_allclose(depths_of_contacts(other, count), depths_of_contacts(sim, count), atol=1e-6)
 
 
 @pytest.mark.parametrize("floor", [field, mesh])

@@ -427,8 +427,9 @@ def falling_piles(duration, count):
     )
     names = (*(f"pile {k + 1}" for k in warm), "pile 13, cold")
 
-    def late_speed(t):
-        return np.linalg.norm(t.linear_velocity[-120:], axis=-1).max(axis=(0, 2))
+    def late_motion(t):
+        """A contact whose gap has grown by rounding errors closes in one step: a body moves by up to 3e-7 m."""
+        return np.ptp(t.position[-120:], axis=0).max(axis=(1, 2))
 
     return case(
         "V62",
@@ -436,7 +437,7 @@ def falling_piles(duration, count):
         "conservation; a pile comes to rest",
         # A body that is hit is stopped at its time of impact, but gravity acts for the whole step: 5e-5.
         *energy_checks(warm, [12], 4e-6, 1e-4),
-        measured("largest speed in the last half second", "m/s", late_speed, at_most(1e-6), rows=warm),
+        measured("largest motion in the last half second", "m", late_motion, at_most(5e-7), rows=warm),
         measured("deepest overlap at the end", "m", lambda t: t.overlap[-1], at_most(5e-5), rows=warm),
         of=Experiment(lambda: pile_scene(count), duration, names, starts),
         curve=Curve("energy", "J", lambda t: t.energy),

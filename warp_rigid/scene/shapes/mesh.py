@@ -30,7 +30,8 @@ class Mesh(Shape):
 
     Collisions use a grid of signed distances, which is computed at first use and stored in a cache
     folder (see `warp_rigid.scene.shapes.distance_grid`), and near the surface the triangles themselves, so
-    that walls may be thinner than a cell of the grid. The triangles take at most 200 bytes each.
+    that walls may be thinner than a cell of the grid. The triangles take at most 200 bytes each. The grid alone is used
+    where more than two faces meet at an edge, or the cap of a hole crosses the surface (`fault`).
 
     A mesh with holes represents the solid that results when each boundary loop is closed by a fan
     of triangles from the loop's mean point. Mass, signed distance and sign (by winding number
@@ -74,19 +75,30 @@ class Mesh(Shape):
         self.repairs = surface.repairs
         edges = topology.find_edges(self.faces)
         self.watertight = edges.closed
-        self._simple = edges.closed and edges.manifold
+        self._closed = edges.closed and edges.manifold
         solid_vertices, solid_faces = topology.close_boundaries(self.vertices, self.faces)
         self._solid_vertices = frozen_array(solid_vertices)
         self._solid_faces = frozen_array(solid_faces, np.int32)
         _refuse_flat(self.vertices, self.faces, self.mass_properties)
-        if not self._simple:
+        if not self._closed:
             self._refuse_thin()
+
+    @cached_property
+    def _simple(self) -> bool:
+        """Whether the nearest triangle shows on which side of the surface a point is.
+
+        It does on a closed surface with two faces at each edge. Where holes were closed, all triangles must be between
+        inside and outside, too: a cap may cross the surface.
+        """
+        if self._closed or not topology.find_edges(self._solid_faces).manifold:
+            return self._closed
+        return distance_grid.bounds_solid(self._solid_vertices, self._solid_faces)
 
     def _refuse_thin(self) -> None:
         """Reject walls that the grid does not resolve, where it alone decides between inside and outside."""
         extent = float(np.ptp(self.vertices, axis=0).max())
         least = int(np.ceil(CELLS_OF_A_WALL * extent / self.wall))
-        if self.sdf_resolution < least:
+        if self.sdf_resolution < least and not self._simple:
             raise ValueError(
                 f"sdf_resolution: must be at least {least} for walls about {1e3 * self.wall:.3g} mm thick, got "
                 f"{self.sdf_resolution}; as {self.fault}, only the grid separates inside from outside"
@@ -243,7 +255,7 @@ class Mesh(Shape):
     @cached_property
     def hull(self):
         """All vertices, if the mesh is convex."""
-        convex = self._simple and topology.is_convex(self.vertices, self.faces)
+        convex = self._closed and topology.is_convex(self.vertices, self.faces)
         return self.vertices if convex else np.zeros((0, 3))
 
     @cached_property
