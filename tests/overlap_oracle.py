@@ -1,8 +1,6 @@
 """Deepest overlap of two solids in float64: the largest depth of a point of one surface inside the other solid.
 
-A surface is a set of triangles and a map of these onto it, which lengthens no way. Triangles are divided into four, and
-left out where no point can be deeper than the deepest vertex so far, as a depth changes by at most the way. Of those
-that are left the most promising are kept.
+A surface is a set of triangles and a map of these onto it, which lengthens no way.
 """
 
 import numpy as np
@@ -10,9 +8,7 @@ import numpy as np
 from tests.geometry_oracles import distance_to_triangles, winding
 from tests.oracles import rotation_matrix
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Sphere, tessellation
-
-KEPT = 150
-"""Triangles that are kept at most."""
+from warp_rigid.validation.resting_meshes import deepest_point
 
 
 class Solid:
@@ -55,34 +51,12 @@ def _deepest(piece, at, turn, hidden, other, best, accuracy):
 
     def depth_at(points):
         world = _onto(piece, points) @ turn.T + at
-        depth = other.depth(world)
         seen = np.ones(len(world), bool)
         for shape, place, rotation in hidden:
             seen &= _depth(shape, (world - place) @ rotation) < 1e-9
-        return depth, depth[seen].max(initial=0.0)
+        return other.depth(world), seen
 
-    corners = _triangles(piece)
-    if len(corners):
-        best = max(best, depth_at(np.unique(corners.reshape(-1, 3), axis=0))[1])
-    while len(corners):
-        center = corners.mean(axis=1)
-        radius = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1)
-        depth, deepest = depth_at(center)
-        best = max(best, deepest)
-        bound = depth + radius
-        kept = np.flatnonzero(bound > best + max(accuracy, 1e-3 * best))
-        kept = kept[np.argsort(-bound[kept])][:KEPT]
-        corners = _divided(corners[kept])
-        if radius.max() < accuracy:
-            break
-    return best
-
-
-def _divided(corners):
-    """Each triangle as four."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
-    return np.concatenate([np.stack(some, axis=1) for some in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (bc, ca, ab))])
+    return deepest_point(_triangles(piece), depth_at, best, accuracy)[0]
 
 
 def _triangles(shape):

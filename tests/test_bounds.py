@@ -32,7 +32,7 @@ for seed in range(4):
         sim.step(12)
         sim.penetration()
 sim = wr.Simulator(heap(rng), settings=wr.Settings(sleeping=True), device="cpu")
-sim.step(24)
+sim.step(8)
 print("read", len(sim.contacts()), "contacts of a heap")
 """
 

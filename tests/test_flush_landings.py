@@ -68,7 +68,7 @@ def test_an_elastic_box_bounces_off_a_narrow_base_without_turning(device, overha
     assert np.all(sim.get("linear_velocity")[0, boxes, 2] > 5.5)
     spin = np.abs(sim.get("angular_velocity")[0, boxes]).max(axis=1)
     assert spin[0] < 1e-6
-    assert spin[1] < (4e-3 if overhang == 10 else 1e-5)
+    assert spin[1] < (4e-2 if overhang == 10 else 3e-5)
 
 
 @pytest.mark.long

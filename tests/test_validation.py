@@ -30,7 +30,7 @@ def slug(case):
     return f"{case.id} {case.title}"
 
 
-LONG = ("V05", "V21", "V61", "V62", "V75", "V76", "V102", "V103", "V105", "V107")
+LONG = ("V05", "V21", "V61", "V62", "V75", "V76", "V102", "V103", "V104", "V105", "V107")
 """Cases that take more than two seconds."""
 
 

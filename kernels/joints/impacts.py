@@ -48,7 +48,6 @@ from warp_rigid.kernels.joints.responses import move_mechanism
 from warp_rigid.kernels.schema import Constraints, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.pair_impact import (
     NO_IMPACT,
-    add_normal_impulses,
     energy_neutral_share,
     equal_impulse,
     has_restitution,
@@ -56,6 +55,7 @@ from warp_rigid.kernels.solve.pair_impact import (
     next_impact,
     note_impact,
     relative_pull,
+    set_normal_impulses,
     set_targets,
 )
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, note_change
@@ -143,7 +143,7 @@ def bounce_alone(entry: OrderRecord, dt: float, pull: wp.vec3, motions: Motions,
     trial.pair = at_rest(before)
     trial = with_equal_pushes(entry, 1.0, trial, contacts, joints)
     impulse = equal_impulse(entry.begin, entry.end, before, trial.pair, contacts)[0]
-    add_normal_impulses(entry.begin, entry.end, impulse, contacts)
+    set_normal_impulses(entry.begin, entry.end, impulse, contacts)
     visit = with_equal_pushes(entry, impulse, visit, contacts, joints)
     unit = motions.velocity_unit[visit.a]
     left = int(GROUP_SWEEPS * IMPACT_ITERATIONS)

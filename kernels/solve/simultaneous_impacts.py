@@ -19,6 +19,7 @@ from warp_rigid.kernels.solve.pair_impact import (
     note_impact,
     relative_pull,
     set_targets,
+    with_equal_start,
     with_impacts,
 )
 from warp_rigid.kernels.solve.schedule import (
@@ -72,8 +73,11 @@ def open_group(
 
 
 @wp.func
-def sweep_group(unit: float, team: Team, order: Order, motions: Motions, contacts: Contacts):
-    """Solve all pairs of the group once. Returns a lane's largest velocity change by a contact [m/s]."""
+def sweep_group(starts: bool, unit: float, team: Team, order: Order, motions: Motions, contacts: Contacts):
+    """Solve all pairs of the group once. Returns a lane's largest velocity change by a contact [m/s].
+
+    `starts`: the first sweep of the group.
+    """
     change = float(0.0)
     for color in range(order.color_count[team.env]):
         stride = stride_of_color(color, team)
@@ -81,6 +85,8 @@ def sweep_group(unit: float, team: Team, order: Order, motions: Motions, contact
             entry = entry_at(k, order)
             if entry.visited == BOUNCING + 1:
                 pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
+                if starts:
+                    pair = with_equal_start(entry.begin, entry.end, pair, contacts)
                 pair = with_impacts(entry.begin, entry.end, 1.0, 1.0, unit, pair, contacts)
                 store_bodies(entry.body_a, entry.body_b, pair, motions)
                 change = wp.max(change, pair.change)
@@ -154,7 +160,7 @@ def bounce_together(
     unit = motions.velocity_unit[begin]
     left = int(GROUP_SWEEPS)
     while left > 0:
-        change = sweep_group(unit, team, order, motions, contacts)
+        change = sweep_group(left == int(GROUP_SWEEPS), unit, team, order, motions, contacts)
         left = any_of_team(wp.where(change > CONVERGED * unit, 1, 0), team) * (left - 1)
     sum_impact_energy(dt, first, begin, end, team, order, graph, motions, contacts)
     close_group(turn, begin, end, team, order, graph, motions, contacts)

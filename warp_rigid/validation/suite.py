@@ -16,6 +16,7 @@ from warp_rigid.validation import (
     mass_and_distance,
     nonconvex,
     passive_mechanisms,
+    resting_meshes,
     robustness,
     rolling,
     sliding,
@@ -42,6 +43,7 @@ SECTIONS = (
     articulated,
     passive_mechanisms,
     conveyors,
+    resting_meshes,
     robustness,
 )
 CPU = "cpu"
