@@ -326,3 +326,26 @@ def test_ring_is_a_pierced_prism():
         meshes.ring(segments=4)
     with pytest.raises(ValueError, match="^major: "):
         meshes.torus(0.01, 0.02)
+
+
+def test_the_triangles_of_a_mesh_with_holes_decide_unless_it_crosses_itself():
+    """A missing face, a box without a lid; then its floor through the cap, a crack, and two balls, one with a hole."""
+    box = trimesh.creation.box((1, 1, 1)).subdivide().subdivide().subdivide()
+    assert not Mesh(box.vertices, box.faces[1:]).fault
+    lidless = box.faces[box.face_normals[:, 2] < 0.9]
+    assert not Mesh(box.vertices, lidless).fault
+    floor = np.flatnonzero((box.vertices[:, 2] < -0.49) & (np.abs(box.vertices[:, :2]) < 0.45).all(axis=1))
+    for height in (0.02, 0.05, 0.2):
+        for vertex in floor[::9]:
+            spiked = box.vertices.copy()
+            spiked[vertex, 2] = 0.5 + height
+            assert "crosses itself" in Mesh(spiked, lidless).fault
+    cube = trimesh.creation.box((0.2, 0.2, 0.2))
+    first, second, third = cube.faces[0]
+    middle = 0.5 * (cube.vertices[first] + cube.vertices[second])
+    cracked = np.concatenate([cube.faces[1:], [[first, 8, third], [8, second, third]]])
+    for seed in range(6):
+        matrix = trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))[:3, :3]
+        assert "crosses itself" in Mesh(np.concatenate([cube.vertices, [middle]]) @ matrix.T, cracked).fault
+    balls = trimesh.util.concatenate([trimesh.creation.icosphere(2).apply_translation((x, 0, 0)) for x in (0, 1)])
+    assert "crosses itself" in Mesh(balls.vertices, balls.faces[1:]).fault

@@ -152,10 +152,10 @@ def test_thin_walls_are_refused_until_the_grid_resolves_them():
     vertices[np.argmin(np.linalg.norm(vertices - (0, 0, -0.0015), axis=1)), 2] = 0.003
     with pytest.raises(ValueError, match="^sdf_resolution: must be at least [0-9]+ for walls about") as refusal:
         wr.Mesh(vertices, faces)
-    assert "\n" not in str(refusal.value) and "the mesh has holes" in str(refusal.value)
+    assert "\n" not in str(refusal.value) and "with their caps it crosses itself" in str(refusal.value)
     least = int(str(refusal.value).split("least ")[1].split()[0])
     assert 64 < least < 512
-    assert wr.Mesh(vertices, faces, sdf_resolution=least).fault == "the mesh has holes"
+    assert wr.Mesh(vertices, faces, sdf_resolution=least).fault.startswith("the mesh has holes")
 
 
 @pytest.mark.parametrize("share", [200, 100, 50])

@@ -118,7 +118,7 @@ class Ascent:
 def true_mesh_distance(shapes: Shapes, part: int, p: wp.vec3, near: float):
     """Distance to a mesh: from its triangles where it may be below `near`, else from its grid, off by GRID_ERROR cells.
 
-    A mesh with holes has the distance of its grid everywhere.
+    A mesh with a fault (`Mesh.fault`) has the distance of its grid everywhere.
     """
     d = grid_distance(shapes, part, p)
     cell = shapes.parts[part].grid_spacing

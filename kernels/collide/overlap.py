@@ -41,7 +41,7 @@ VISIBLE = wp.constant(0.125)
 """A piece whose middle is inside another part of its body is divided down to this fraction of the largest radius."""
 
 STEEPEST = wp.constant(1.7321)
-"""Bound of the slope of the distance that is interpolated in the grid of a mesh with holes."""
+"""Bound of the slope of the distance that is interpolated in the grid of a mesh with a fault."""
 
 AWAY = wp.constant(1000.0)
 ROOM = wp.constant(1.25)

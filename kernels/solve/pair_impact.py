@@ -220,7 +220,10 @@ def with_equal_start(begin: int, end: int, pair: BodyPair, contacts: Contacts):
 def with_impacts(
     begin: int, end: int, mobility_a: float, mobility_b: float, unit: float, pair: BodyPair, contacts: Contacts
 ):
-    """The bodies after rounds over the contacts of a pair, whose targets are set."""
+    """The bodies after rounds over the contacts of a pair, whose targets are set.
+
+    `change` of the result is the largest one of the rounds, and of the start if that is larger.
+    """
     largest = pair.change
     left = int(IMPACT_ITERATIONS)
     while left > 0:

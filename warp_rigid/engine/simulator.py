@@ -371,7 +371,7 @@ class Simulator:
         body's surface. The search covers the whole surface, independently of contacts and their samples, and is
         accurate to 1 % or 2 um. If another body contains the centre of a large ball inside a body, the overlap is at
         least the distance by which that ball must move. In a compound the depth is that in the deepest child. The
-        distance to a mesh with holes is that of its grid.
+        distance to a mesh with a `fault` is that of its grid.
         """
         return self._world.shards.deepest_overlap()
 

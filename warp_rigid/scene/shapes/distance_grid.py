@@ -24,8 +24,6 @@ from warp_rigid.threads import exclusive
 log = logging.getLogger("warp_rigid")
 
 PADDING_CELLS = 3
-BESIDE = 1e-5
-"""Distance from a triangle at which its sides are tested, as a fraction of the longest side of the mesh."""
 FORMAT = 1  # raise whenever the same mesh would give another grid or file
 
 
@@ -36,8 +34,8 @@ def grid_of_mesh(vertices, faces, resolution: int, simple: bool) -> Grid:
         vertices: (n, 3) [m].
         faces: (m, 3), closed and facing outward.
         resolution: cells along the longest side; 3 cells of padding are added on each side.
-        simple: whether two faces meet at every edge. If so, the sign is taken from angle-weighted
-            pseudonormals, otherwise from the winding number.
+        simple: whether two faces meet at every edge, and no cap of a hole crosses the surface. If so, the sign is taken
+            from angle-weighted pseudonormals, otherwise from the winding number.
     """
     file = cache_folder() / (content_hash(FORMAT, vertices, faces, resolution, simple) + ".npz")
     origin, spacing, shape = grid_layout(vertices, resolution)
@@ -149,24 +147,6 @@ def mesh_distance(vertices, faces, points, simple: bool, device=None):
     length = np.linalg.norm(arms[:, :3], axis=1)
     direction = arms[:, :3] / np.where(length > 0.0, length, 1.0)[:, None]
     return arms[:, 3] * length, arms[:, 3:] * direction
-
-
-def bounds_solid(vertices, faces) -> bool:
-    """Whether all triangles of a closed surface are between the inside and the outside by the winding number.
-
-    Tested on both sides of four points of each triangle: those of a surface that crosses itself are partly inside.
-
-    Args:
-        vertices: (n, 3) [m].
-        faces: (m, 3), closed and facing outward.
-    """
-    normals, areas = topology.face_normals(vertices, faces)
-    corners = vertices[faces[areas > 0.0]]
-    middle = corners.mean(axis=1, keepdims=True)
-    points = np.concatenate([middle, 0.5 * (corners + middle)], axis=1)
-    aside = BESIDE * np.ptp(vertices, axis=0).max() * normals[areas > 0.0, None]
-    inside = (mesh_distance(vertices, faces, (points - aside).reshape(-1, 3), False)[0] < 0.0).all()
-    return bool(inside and (mesh_distance(vertices, faces, (points + aside).reshape(-1, 3), False)[0] > 0.0).all())
 
 
 def cache_folder() -> Path:

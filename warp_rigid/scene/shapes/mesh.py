@@ -31,7 +31,7 @@ class Mesh(Shape):
     Collisions use a grid of signed distances, which is computed at first use and stored in a cache
     folder (see `warp_rigid.scene.shapes.distance_grid`), and near the surface the triangles themselves, so
     that walls may be thinner than a cell of the grid. The triangles take at most 200 bytes each. The grid alone is used
-    where more than two faces meet at an edge, or the cap of a hole crosses the surface (`fault`).
+    if more than two faces meet at an edge, or if a mesh with holes crosses itself or their caps (`fault`).
 
     A mesh with holes represents the solid that results when each boundary loop is closed by a fan
     of triangles from the loop's mean point. Mass, signed distance and sign (by winding number
@@ -60,8 +60,8 @@ class Mesh(Shape):
                 look has an image: (0, 0) is its lower left corner, (1, 1) the upper right one, beyond which it repeats.
 
         Raises:
-            ValueError: The mesh is empty, not finite or encloses no volume, or it has holes and walls too thin for the
-                grid.
+            ValueError: The mesh is empty, not finite or encloses no volume, or it has a `fault` and walls too thin for
+                the grid.
         """
         self._setup(repair(vertices, faces, uv), sdf_resolution)
         if self.repairs:
@@ -87,12 +87,12 @@ class Mesh(Shape):
     def _simple(self) -> bool:
         """Whether the nearest triangle shows on which side of the surface a point is.
 
-        It does on a closed surface with two faces at each edge. Where holes were closed, all triangles must be between
-        inside and outside, too: a cap may cross the surface.
+        It does on a closed surface with two faces at each edge. Where holes were closed, it must not cross itself, too:
+        a cap may cross the surface, and only surfaces without holes are united where they cross.
         """
         if self._closed or not topology.find_edges(self._solid_faces).manifold:
             return self._closed
-        return distance_grid.bounds_solid(self._solid_vertices, self._solid_faces)
+        return not topology.crosses_itself(self._solid_vertices, self._solid_faces, len(self.faces))
 
     def _refuse_thin(self) -> None:
         """Reject walls that the grid does not resolve, where it alone decides between inside and outside."""
@@ -109,7 +109,9 @@ class Mesh(Shape):
         """Why contacts cannot use the triangles; empty if they can."""
         if self._simple:
             return ""
-        return "more than two faces meet at an edge" if self.watertight else "the mesh has holes"
+        if not topology.find_edges(self._solid_faces).manifold:
+            return "more than two faces meet at an edge"
+        return "the mesh has holes, and with their caps it crosses itself"
 
     def __repr__(self) -> str:
         """Show the numbers of vertices and triangles."""
@@ -292,7 +294,7 @@ class Mesh(Shape):
 
     @cached_property
     def tree(self) -> TriangleTree:
-        """All triangles; where edges or holes leave the sign of the distance to winding numbers, without a sign."""
+        """All triangles; without a sign if the mesh has a `fault`."""
         return triangle_tree(self._solid_vertices, self._solid_faces, self._simple)
 
     @property

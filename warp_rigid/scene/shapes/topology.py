@@ -4,9 +4,19 @@ trimesh is imported only where a mesh is processed, so that importing the packag
 needs SciPy or NetworkX, and its normals and hole filling use absolute tolerances; these are written here instead.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+
+THIN = 1e-5
+"""Height below which a triangle of a cap is too thin, as a fraction of the size of the mesh."""
+TOUCHING = 1e-9
+"""Overlap of two triangles that only touch, as a fraction of the size of the mesh: rounding errors."""
+PARALLEL = 1e-9
+"""Sine of the angle between two edges below which they have no common normal."""
+SORTED_AT_ONCE = 2000
+"""Triangles whose neighbours are looked for at the same time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +128,59 @@ def close_boundaries(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarra
     apexes = np.stack([np.bincount(loop, vertices[used, axis]) / size for axis in range(3)], axis=1)
     fans = np.column_stack([sides, len(vertices) + loop[local[:, 0]]])
     return np.concatenate([vertices, apexes]), np.concatenate([faces, fans])
+
+
+def crosses_itself(vertices: np.ndarray, faces: np.ndarray, given: int) -> bool:
+    """Whether triangles of a closed surface cross or overlap each other, or caps of holes are too thin for a normal.
+
+    Of the first `given` faces, which are no caps, pairs with a common vertex are not tested.
+    """
+    corners = vertices[faces]
+    size = np.ptp(vertices, axis=0).max()
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    if (2.0 * face_normals(vertices, faces)[1][given:] < THIN * size * sides[given:]).any():
+        return True
+    for first, second in _near_pairs(corners):
+        shared = (faces[first][:, :, None] == faces[second][:, None]).any(axis=(1, 2))
+        tested = ~shared | (np.maximum(first, second) >= given)
+        if not _are_apart(corners[first[tested]], corners[second[tested]], TOUCHING * size).all():
+            return True
+    return False
+
+
+def _near_pairs(corners: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of triangles whose boxes meet, some at a time: they are sorted along the first axis."""
+    lower, upper = corners.min(axis=1), corners.max(axis=1)
+    order = np.argsort(lower[:, 0])
+    end = np.searchsorted(lower[order, 0], upper[order, 0], side="right")
+    for start in range(0, len(order), SORTED_AT_ONCE):
+        own = np.arange(start, min(start + SORTED_AT_ONCE, len(order)))
+        count = end[own] - own - 1
+        first = np.repeat(own, count)
+        second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
+        first, second = order[first], order[second]
+        near = ((lower[first] <= upper[second]) & (lower[second] <= upper[first])).all(axis=1)
+        yield first[near], second[near]
+
+
+def _are_apart(first: np.ndarray, second: np.ndarray, touch: float) -> np.ndarray:
+    """Whether pairs of triangles (n, 3, 3) overlap by no more than `touch` along one of their separating axes [m].
+
+    These are both normals, the products of their edges, and the normals of the edges in each plane.
+    """
+    edges = [triangle - np.roll(triangle, 1, axis=1) for triangle in (first, second)]
+    normals = [np.cross(edge[:, 0], edge[:, 1])[:, None] for edge in edges]
+    products = np.cross(edges[0][:, :, None], edges[1][:, None]).reshape(len(first), 9, 3)
+    axes = np.concatenate([*normals, products, *(np.cross(edges[k], normals[k]) for k in range(2))], axis=1)
+    length = np.linalg.norm(axes, axis=2)
+    longest = np.maximum(*(np.linalg.norm(edge, axis=2).max(axis=1) for edge in edges))
+    usable = length > PARALLEL * longest[:, None] ** np.array([2] * 11 + [3] * 6)
+    axes = axes / np.where(usable, length, 1.0)[:, :, None]
+    spans = [np.einsum("nai,nci->nac", axes, triangle) for triangle in (first, second)]
+    (low, high), (other_low, other_high) = ((span.min(axis=2), span.max(axis=2)) for span in spans)
+    # Along their common normal, triangles in one plane have no extent.
+    usable &= np.maximum(high - low, other_high - other_low) > touch
+    return (usable & (np.minimum(high - other_low, other_high - low) <= touch)).any(axis=1)
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

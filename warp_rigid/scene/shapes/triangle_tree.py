@@ -35,7 +35,7 @@ def triangle_tree(vertices: np.ndarray, faces: np.ndarray, signed: bool) -> Tria
     Args:
         vertices: (n, 3) [m].
         faces: (m, 3).
-        signed: whether it had no holes, and two faces meet at each edge.
+        signed: as in `TriangleTree`.
     """
     corners = vertices[faces]
     center = corners.mean(axis=1)
