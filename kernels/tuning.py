@@ -167,8 +167,8 @@ others."""
 # Impacts
 
 IMPACT_ITERATIONS = wp.constant(8)
-"""Maximum rounds over the contacts of a pair per impact, or per sweep over a group of them. A box of 1 m that bounces at
-7 m/s off a base of a tenth of its width, 2 cm beside the middle, leaves with 4e-2 rad/s, with 16 rounds with 2e-3;
+"""Maximum rounds over the contacts of a pair per impact, or per sweep over a group of them. A box of 1 m that bounces
+at 7 m/s off a base of a tenth of its width, 2 cm beside the middle, leaves with 4e-2 rad/s, with 16 rounds with 2e-3;
 over the middle it does not turn."""
 
 GROUP_SWEEPS = wp.constant(16)

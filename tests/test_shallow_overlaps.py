@@ -9,6 +9,7 @@ from tests.oracles import rotation_matrix
 from tests.test_deep_starts import SHAPES
 from tests.test_rolling_floors import field, mesh
 from warp_rigid.scene.shapes import topology
+from warp_rigid.scenes.builders import meshes
 
 
 def slightly_overlapping(device, first, second, count):
@@ -69,6 +70,18 @@ def test_a_contact_shows_the_overlap_of_two_bodies(device, first, second, missed
     assert measured.sum() > 0.3 * count
     shown = depths_of_contacts(sim, count)
     assert np.sum(shown[measured] < 0.5 * overlaps[measured]) <= missed
+
+
+def test_an_edge_that_is_flat_at_one_end_touches_a_bump_before_the_other(device):
+    """The tangents at both ends met on the edge, where it was taken to leave a face; the bump is 0.03 mm deep."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_body(meshes.cranium(), orientation=(-0.1558927, 0.649003, -0.6626697, 0.3396491))
+    place = (-0.1055746, -0.0133242, 0.0229242)
+    scene.add_body(meshes.torus(), position=place, orientation=(0.4554402, 0.7678988, 0.3616577, 0.2685321))
+    sim = wr.Simulator(scene, device=device)
+    overlap = sim.penetration()[0]
+    assert 2.5e-5 < overlap < 3.5e-5
+    assert depths_of_contacts(sim, 1)[0] == pytest.approx(overlap, rel=0.1)
 
 
 def test_an_open_mesh_touches_as_the_solid_with_its_holes_capped(device):

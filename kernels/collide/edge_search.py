@@ -187,8 +187,9 @@ def is_doubtful(search: Search, t: float, convex: int):
     """Whether the point t may be no minimum, since tangents of a bumpy surface can meet at any point.
 
     t is an end of the interval. A point with a slope of zero is a minimum; at another one, the other side is unknown.
+    An edge may be flat at one end and rise at t, with a dip between them.
     """
-    if convex == 1 or search.turning != 0.0 or search.right - search.left < 2.0 * ASIDE * search.half:
+    if convex == 1 or search.right - search.left < 2.0 * ASIDE * search.half:
         return False
     return wp.abs(wp.where(t == search.left, search.slope_low, search.slope_high)) > flat_slope(search)
 
