@@ -24,8 +24,8 @@ SIZE = 0.2
 ENVS = 3
 """Piles of each kind, which differ in their starts."""
 DEEPEST, RARE = 2e-5, 2.5e-4
-"""Largest overlap at rest, a ten-thousandth of the size, and the largest one where a contact is missing [m]: where edges
-cross that bend by less than 30 degrees, away from the vertices. That was 1.1e-4 in one of twelve piles."""
+"""Largest overlap at rest, a ten-thousandth of the size, and the largest one where a contact is missing [m]:
+where edges that bend by less than 30 degrees cross away from the vertices. That was 1.1e-4 in one of twelve piles."""
 ACCURACY = 1e-7
 """Of a depth [m]."""
 KEPT = 150
