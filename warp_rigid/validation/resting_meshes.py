@@ -90,8 +90,8 @@ class Solid:
 def deepest_point(corners: np.ndarray, depth_at: DepthFunction, best: float = 0.0, accuracy: float = ACCURACY):
     """The deepest point of triangles, if it is deeper than `best`.
 
-    Triangles are divided into four, and left out where no point can be deeper than the deepest one so far: a depth
-    changes by at most the way. Of those that are left the most promising are kept.
+    Triangles are divided into four, and left out where no point can be deeper than the deepest one so far: the depths
+    of two points differ by at most their distance. Of those that are left the most promising are kept.
 
     Args:
         corners: (n, 3, 3) [m].

@@ -67,7 +67,7 @@ def flush_landing() -> ValidationCase:
     ]
     return case(
         "V101",
-        "box that lands flush on a wider box, or bounces on a narrower one",
+        "box that lands flush on an equal or wider box, or bounces on a narrower one",
         "symmetry",
         measured("largest spin", "rad/s", lambda t: np.abs(t.angular_velocity[:, :, 1]).max((0, 2)), at_most(1e-4)),
         measured("drift", "m", lambda t: np.abs(t.position[-1, :, 1, :2]).max(1), at_most(1e-4)),

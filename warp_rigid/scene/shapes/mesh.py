@@ -31,7 +31,7 @@ class Mesh(Shape):
     Collisions use a grid of signed distances, which is computed at first use and stored in a cache
     folder (see `warp_rigid.scene.shapes.distance_grid`), and near the surface the triangles themselves, so
     that walls may be thinner than a cell of the grid. The triangles take at most 200 bytes each. The grid alone is used
-    if more than two faces meet at an edge, or if a mesh with holes crosses itself or their caps (`fault`).
+    if more than two faces meet at an edge, or if a mesh with holes crosses itself or their caps (see `fault`).
 
     A mesh with holes represents the solid that results when each boundary loop is closed by a fan
     of triangles from the loop's mean point. Mass, signed distance and sign (by winding number
