@@ -84,6 +84,34 @@ def test_an_edge_that_is_flat_at_one_end_touches_a_bump_before_the_other(device)
     assert depths_of_contacts(sim, 1)[0] == pytest.approx(overlap, rel=0.1)
 
 
+CROSSINGS = {
+    "pelvis on pelvis": (
+        (meshes.pelvis, meshes.pelvis),
+        (-0.1514573, 0.0000978, 0.0531344),
+        ((0.6673026, -0.3590126, -0.6507881, 0.0478761), (-0.5285958, 0.6615018, -0.0161839, 0.5317329)),
+    ),
+    "femur on skull": (
+        (meshes.femur, meshes.skull_like),
+        (-0.2834844, 0.0253948, 0.0017817),
+        ((-0.0490696, -0.5966750, -0.3256635, 0.7317884), (0.7421861, 0.0176822, -0.6567398, 0.1324382)),
+    ),
+}
+"""Poses from piles at rest: two meshes, the place of the second beside the first [m], and their orientations."""
+
+
+@pytest.mark.parametrize("crossing", CROSSINGS)
+def test_edges_that_bend_little_touch_where_they_cross(device, crossing):
+    """The distance along the first edge has a kink beyond the crossing. The second one leaves a vertex with nine."""
+    kinds, place, turns = CROSSINGS[crossing]
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_body(kinds[0](), orientation=turns[0])
+    scene.add_body(kinds[1](), position=place, orientation=turns[1])
+    sim = wr.Simulator(scene, device=device)
+    overlap = sim.penetration()[0]
+    assert 5e-5 < overlap < 1.2e-4
+    assert depths_of_contacts(sim, 1)[0] == pytest.approx(overlap, rel=0.02)
+
+
 def test_an_open_mesh_touches_as_the_solid_with_its_holes_capped(device):
     """Contacts with a coarse ball without its top, and overlaps, were those of its grid: off by a millimetre."""
     ball = trimesh.creation.icosphere(1, 0.1)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import cKDTree
 
 from tests.geometry_oracles import cube, l_prism, random_surface_points, star_prism
@@ -120,6 +121,24 @@ def test_feature_edges_of_a_mesh_are_covered_by_segments():
     assert length.sum() == pytest.approx(2 * sum(sides) + 6 - 1, rel=1e-5)
     assert length.max() <= mesh.sample_spacing * (1 + 1e-5)
     np.testing.assert_allclose(np.sort(np.abs(samples.normal[edge]), axis=1)[:, 1:], 0.5**0.5, atol=1e-5)
+
+
+def test_both_ends_of_an_edge_that_bends_little_know_it():
+    """At the top of a flat cone of 16 sides, these edges were cut to eight."""
+    turn = np.arange(16) * math.pi / 8
+    rim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    hull = trimesh.convex.convex_hull(np.concatenate([rim, [[0, 0, 0.5], [0, 0, -0.5]]]))
+    cone = Mesh(hull.vertices, hull.faces, sdf_resolution=16)
+    samples = cone.samples()
+    count = np.diff(samples.edges, axis=1)[:, 0]
+    for point, (first, last) in zip(samples.point, samples.edges, strict=True):
+        for along in samples.unsampled_edges[first:last]:
+            other = np.linalg.norm(samples.point - point - along, axis=1).argmin()
+            assert np.linalg.norm(samples.point[other] - point - along) < 1e-6
+            back = samples.unsampled_edges[slice(*samples.edges[other])]
+            assert np.linalg.norm(back + along, axis=1).min() < 1e-6
+    assert count.max() == 16
+    assert len(samples.unsampled_edges) == count.sum()
 
 
 def test_the_boundary_of_an_open_mesh_is_covered_by_segments():

@@ -18,6 +18,12 @@ slope differs from those at both ends by more than this fraction of their differ
 ROUNDED_OFF = wp.constant(1.0e-3)
 """Tangents that meet outside of the interval, by less than this fraction of its length, count as meeting at its end."""
 
+ASIDE = wp.constant(0.01)
+"""Offset from a crossing at which the gradients on both sides are evaluated, as a fraction of the half-length."""
+
+FOUND = wp.constant(1.0e-4)
+"""The search along an edge ends when the point moves by less than this fraction of the half-length."""
+
 DONE = wp.constant(-1)
 
 
@@ -188,6 +194,25 @@ def narrowed(search: Search, d: wp.vec4, turning: float):
     halved = 2.0 * wp.abs(now - turning) <= wp.abs(end - turning)
     curved = is_curved(search, d, now)
     return next_inside(replace_end(search, d, turning), curved and halved)
+
+
+@wp.func
+def is_doubtful(search: Search, t: float, convex: int):
+    """Whether the point t may be no minimum, since tangents of a bumpy surface can meet at any point.
+
+    t is an end of the interval. A point with a slope of zero is a minimum; at another one, the other side is unknown.
+    An edge may be flat at one end and rise at t, with a dip between them. A crossing of edges is a minimum, too; the
+    distance beside it shows this.
+    """
+    if convex == 1 or search.right - search.left < 2.0 * ASIDE * search.half:
+        return False
+    return wp.abs(wp.where(t == search.left, search.slope_low, search.slope_high)) > flat_slope(search)
+
+
+@wp.func
+def look_beside(search: Search, t: float):
+    """Evaluate the distance next beside t, an end of the interval."""
+    return look_at(search, t + wp.where(t == search.left, ASIDE, -ASIDE) * search.half)
 
 
 @wp.func

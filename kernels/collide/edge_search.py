@@ -3,13 +3,17 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import (
+    ASIDE,
     DONE,
+    FOUND,
     Search,
     cross_faces,
     direction_at,
     flat_slope,
     gradient,
+    is_doubtful,
     look_at,
+    look_beside,
     narrowed,
     next_inside,
     nowhere,
@@ -32,12 +36,6 @@ BEYOND = wp.constant(1.01)
 
 STEEP = wp.constant(0.05)
 """Slope of the distance above which an edge crosses another edge instead of lying along it."""
-
-EDGE_FOUND = wp.constant(1.0e-4)
-"""The search along an edge ends when the point moves by less than this fraction of the half-length."""
-
-ASIDE = wp.constant(0.01)
-"""Offset from a crossing at which the gradients on both sides are evaluated, as a fraction of the half-length."""
 
 BESIDE = wp.constant(1.0e-3)
 """Offset from the point where an edge leaves a face at which the gradient is evaluated, as a fraction of the
@@ -183,18 +181,6 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
 
 
 @wp.func
-def is_doubtful(search: Search, t: float, convex: int):
-    """Whether the point t may be no minimum, since tangents of a bumpy surface can meet at any point.
-
-    t is an end of the interval. A point with a slope of zero is a minimum; at another one, the other side is unknown.
-    An edge may be flat at one end and rise at t, with a dip between them.
-    """
-    if convex == 1 or search.right - search.left < 2.0 * ASIDE * search.half:
-        return False
-    return wp.abs(wp.where(t == search.left, search.slope_low, search.slope_high)) > flat_slope(search)
-
-
-@wp.func
 def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: float):
     """One more round of the search between the ends of an edge segment, or its end."""
     search.distance = d[3]
@@ -204,9 +190,9 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     before = search.t
     after = narrowed(search, d, search.turning)
     search = look_at(after, before)
-    found = wp.abs(after.t - before) <= EDGE_FOUND * search.half
+    found = wp.abs(after.t - before) <= FOUND * search.half
     if found and is_doubtful(search, before, convex):
-        after = look_at(search, before + wp.where(before == search.left, ASIDE, -ASIDE) * search.half)
+        after = look_beside(search, before)
         found = False
     if search.stage < EDGE_LAST_INSIDE and not found:
         after.stage = search.stage + 1

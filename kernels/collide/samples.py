@@ -240,7 +240,7 @@ def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
             d = ball_distance_to_places(shapes, part, search.query, d, radius, approach.searched, choice)
         search.least = wp.min(search.least, d[3])
         if search.stage >= SLIDE_END:
-            search = slide_next(search, d, size)
+            search = slide_next(search, d, size, convex)
         elif search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif edge:

@@ -9,10 +9,13 @@ import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import (
     DONE,
+    FOUND,
     Search,
     cross_faces,
     gradient,
+    is_doubtful,
     look_at,
+    look_beside,
     narrowed,
     slope,
 )
@@ -73,11 +76,12 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shape
     search.last = steepest
     search.first = search.distance
     search.along = edge / length
+    search.half = NEARER_HALF * length
     search.left = 0.0
     search.low = search.before
     search.slope_low = -steepest / length
     search.slope_high = 0.0
-    return look_at(search, NEARER_HALF * length)
+    return look_at(search, search.half)
 
 
 @wp.func
@@ -92,7 +96,17 @@ def end_slide(search: Search):
 
 
 @wp.func
-def slide_next(search: Search, d: wp.vec4, size: float):
+def may_fall_to(search: Search):
+    """Lower bound of a convex distance: where the tangents at both ends meet, which is evaluated next.
+
+    If they meet outside, it is the lower one of both, and the distance is not convex.
+    """
+    from_low = search.low[3] + search.slope_low * (search.t - search.left)
+    return wp.min(from_low, search.high[3] + search.slope_high * (search.t - search.right))
+
+
+@wp.func
+def slide_next(search: Search, d: wp.vec4, size: float, convex: int):
     """The least distance on the nearer half of an edge; none if the distance falls further on."""
     if search.stage == SLIDE_END and slope(d, search.along) <= 0.0:
         return end_slide(search)
@@ -100,9 +114,13 @@ def slide_next(search: Search, d: wp.vec4, size: float):
         search.distance = d[3]
         search.direction = gradient(d)
         search.way = search.query
+    before = search.t
     search = narrowed(search, d, 0.0)
-    bound = search.low[3] + search.slope_low * (search.t - search.left)
-    if search.stage == SLIDE_LAST or bound > search.distance - ENOUGH * size:
+    found = may_fall_to(search) > search.distance - ENOUGH * size or wp.abs(search.t - before) <= FOUND * search.half
+    if found and is_doubtful(search, before, convex):
+        search = look_beside(search, before)
+        found = False
+    if search.stage == SLIDE_LAST or found:
         return end_slide(search)
     search.stage += 1
     return search

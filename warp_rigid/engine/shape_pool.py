@@ -11,7 +11,6 @@ from warp_rigid.scene.body_columns import shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield, moves
-from warp_rigid.scene.shapes.sampling import Samples
 
 UNBOUNDED = 2.0e9
 """Used for the infinite extents of planes [m]; products with it do not overflow in float32."""
@@ -68,9 +67,7 @@ def build_pool(layout: Layout, device: Any) -> Pool:
         "parts": _part_rows(entries, parts, grids, grid_of_part),
         "clusters": _cluster_rows(samples),
         "samples": _sample_rows(samples),
-        "unsampled_edges": np.concatenate(
-            [np.zeros((0, 3), np.float32), *(s.unsampled_edges[_has_unsampled_edge(s)] for s in samples)]
-        ),
+        "unsampled_edges": np.concatenate([s.unsampled_edges for s in samples]),
         "balls": balls.astype(np.float32),
         "hull": hull.astype(np.float32),
         "grid_value": np.concatenate(grids).astype(np.float32),
@@ -254,11 +251,7 @@ def _sample_rows(samples: list) -> np.ndarray:
     rows = np.zeros(sum(len(s.kind) for s in samples), schema.SampleRecord.numpy_dtype())
     for name in ("point", "normal", "slide", "radius", "kind", "choice"):
         rows[name] = np.concatenate([getattr(s, name) for s in samples])
-    start = exclusive_sums(np.concatenate([np.zeros(0, int), *(_has_unsampled_edge(s).sum(axis=1) for s in samples)]))
-    rows["edge_start"], rows["edge_end"] = start[:-1], start[1:]
+    first_edge = exclusive_sums(np.array([len(s.unsampled_edges) for s in samples]))
+    edges = np.concatenate([s.edges + first for s, first in zip(samples, first_edge, strict=False)])
+    rows["edge_start"], rows["edge_end"] = edges.T
     return rows
-
-
-def _has_unsampled_edge(samples: Samples) -> np.ndarray:
-    """Which of the unsampled edges of each sample exist, (n, 8)."""
-    return np.asarray(samples.unsampled_edges.any(axis=2))

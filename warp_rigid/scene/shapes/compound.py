@@ -187,16 +187,17 @@ class Compound(Shape):
         collected = SampleList()
         for index, (shape, position, _) in enumerate(self.children):
             rotation = self._rotations[index].T
-            columns = shape.sample_list().columns()
+            samples = shape.sample_list()
+            columns = samples.columns()
             columns["point"] = columns["point"] @ rotation + position
             columns["normal"] = columns["normal"] @ rotation
             columns["slide"] = columns["slide"] @ rotation
-            columns["unsampled_edges"] = columns["unsampled_edges"] @ rotation
             hidden = np.zeros(len(columns["point"]), dtype=bool)
             for other in range(len(self.children)):
                 if other != index:
                     hidden |= self._hidden(other, columns)
-            collected.add(**{name: column[~hidden] for name, column in columns.items()})
+            kept = {name: column[~hidden] for name, column in columns.items()}
+            collected.add(**kept, unsampled_edges=samples.unsampled_edges @ rotation)
         return collected
 
     def _hidden(self, other: int, columns) -> np.ndarray:

@@ -11,10 +11,8 @@ from warp_rigid.scene.shapes import topology
 
 CLUSTER_LIMIT = 32
 FEATURE_DEGREES = 30.0
-COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank", "unsampled_edges", "dip")
-MOST_EDGES = 8
-"""Unsampled edges of a point at most; the longest ones."""
-WIDTHS = {"point": (3,), "normal": (3,), "slide": (3,), "unsampled_edges": (MOST_EDGES, 3)}
+COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank", "edges", "dip")
+WIDTHS = {"point": (3,), "normal": (3,), "slide": (3,), "edges": (2,)}
 FLAT_DEGREES = 0.5
 """Edges that bend by less are flat."""
 VERTEX, OTHER = 0, 1  # ranks: inside a cluster, vertices come first
@@ -31,7 +29,8 @@ class Samples:
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
         choice: (n,) int32, of balls: the place on a mesh that each stands for, from 1; else 0.
-        unsampled_edges: (n, 8, 3) float32, from a point of a mesh to the next one on each such edge, else zero [m].
+        edges: (n, 2) int32, the first of the unsampled edges of each sample, and the one after the last.
+        unsampled_edges: (m, 3) float32, from a point of a mesh to the next one on such an edge [m].
         dip: how much nearer than the points the unsampled edges may come to others like them [m].
         cluster_start: (c + 1,) int32, where each cluster begins and the last ends.
         cluster_center: (c, 3) float32, centre of the bounding sphere of the samples.
@@ -44,6 +43,7 @@ class Samples:
     radius: np.ndarray
     kind: np.ndarray
     choice: np.ndarray
+    edges: np.ndarray
     unsampled_edges: np.ndarray
     dip: float
     cluster_start: np.ndarray
@@ -61,6 +61,7 @@ class SampleList:
     def __init__(self):
         """An empty list."""
         self._columns = {name: [] for name in COLUMNS}
+        self.unsampled_edges = np.zeros((0, 3))
 
     def add(
         self,
@@ -71,13 +72,19 @@ class SampleList:
         radius=0.0,
         rank=OTHER,
         choice=0,
-        unsampled_edges=0.0,
+        edges=0,
         dip=0.0,
+        unsampled_edges=(),
     ):
-        """Append n samples; each argument is one value for all, or one per sample."""
+        """Append n samples; each argument is one value for all, or one per sample.
+
+        `edges` (n, 2) are rows of `unsampled_edges` (m, 3), both as in `Samples`.
+        """
         point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
         count = len(point)
-        values = (point, normal, slide, radius, kind, choice, rank, unsampled_edges, dip)
+        edges = np.asarray(edges) + len(self.unsampled_edges)
+        self.unsampled_edges = np.concatenate([self.unsampled_edges, np.reshape(unsampled_edges, (-1, 3))])
+        values = (point, normal, slide, radius, kind, choice, rank, edges, dip)
         for (name, column), value in zip(self._columns.items(), values, strict=True):
             shape = WIDTHS.get(name, ())
             column.append(np.broadcast_to(np.asarray(value), (count, *shape)))
@@ -95,16 +102,16 @@ class SampleList:
         self.add(SampleKind.EDGE, middle, slide=half, radius=radius)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """All samples: point, normal, slide (n, 3), and radius, kind, rank (n,)."""
+        """All samples, a column for each of `COLUMNS`."""
         self.add(SampleKind.POINT, np.zeros((0, 3)))
         return {name: np.concatenate(column) for name, column in self._columns.items()}
 
     def cluster(self) -> Samples:
         """All samples, grouped."""
-        return cluster_samples(**self.columns())
+        return cluster_samples(**self.columns(), unsampled_edges=self.unsampled_edges)
 
 
-def cluster_samples(point, normal, slide, radius, kind, choice, rank, unsampled_edges, dip) -> Samples:
+def cluster_samples(point, normal, slide, radius, kind, choice, rank, edges, dip, unsampled_edges) -> Samples:
     """Group samples into tight clusters of at most 32, apart: points with rims, edges, faces, arcs, further places.
 
     Args:
@@ -115,8 +122,9 @@ def cluster_samples(point, normal, slide, radius, kind, choice, rank, unsampled_
         kind: (n,) as in `Samples`.
         choice: (n,) as in `Samples`.
         rank: (n,) order inside a cluster; samples of equal rank keep their order.
-        unsampled_edges: (n, 8, 3) as in `Samples`.
+        edges: (n, 2) as in `Samples`.
         dip: (n,) the largest for the unsampled edges of each sample [m].
+        unsampled_edges: (m, 3) as in `Samples`.
     """
     points = np.isin(kind, (SampleKind.POINT, SampleKind.RIM, SampleKind.CAP))
     groups = []
@@ -142,7 +150,8 @@ def cluster_samples(point, normal, slide, radius, kind, choice, rank, unsampled_
         radius=_frozen(radius, np.float32),
         kind=_frozen(kind[order], np.int32),
         choice=_frozen(choice[order], np.int32),
-        unsampled_edges=_frozen(unsampled_edges[order], np.float32),
+        edges=_frozen(edges[order], np.int32),
+        unsampled_edges=_frozen(unsampled_edges, np.float32),
         dip=float(dip[dip > 0.0].mean()) if dip.any() else 0.0,
         cluster_start=_frozen(start, np.int32),
         cluster_center=_frozen(center, np.float32),
@@ -225,12 +234,12 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     pieces = np.maximum(np.ceil(length / spacing - 1e-9).astype(np.int64), 1)
     sampled = sharp & (length > 0.5 * spacing)
     unsampled = ~sampled & (bend > np.radians(FLAT_DEGREES))
-    along = np.where(unsampled[:, None], (end - start) / pieces[:, None], 0.0)
+    along = (end - start) / pieces[:, None]
     dip = 0.5 * np.linalg.norm(along, axis=1) * np.tan(0.5 * np.minimum(bend, np.radians(FEATURE_DEGREES)))
     collected = SampleList()
-    of_vertex, dip_of_vertex = _edges_of_vertices(len(vertices), edges.ends, along, dip)
     normal = topology.vertex_normals(vertices, faces)
-    collected.add(SampleKind.POINT, vertices, normal, rank=VERTEX, unsampled_edges=of_vertex, dip=dip_of_vertex)
+    of_vertices = _edges_of_vertices(len(vertices), edges.ends[unsampled], along[unsampled], dip[unsampled])
+    collected.add(SampleKind.POINT, vertices, normal, rank=VERTEX, **of_vertices)
     chosen = np.flatnonzero(sampled)
     middle, half, segment = split_segments(start[chosen], end[chosen], pieces[chosen])
     collected.add(SampleKind.EDGE, middle, edge_normal[chosen[segment]], half)
@@ -238,27 +247,36 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     edge, fraction = _inner_fractions(pieces[plain])
     chosen = plain[edge]
     point = start[chosen] + fraction[:, None] * (end - start)[chosen]
-    both = np.zeros((len(chosen), MOST_EDGES, 3))
-    both[:, 0], both[:, 1] = along[chosen], -along[chosen]
-    collected.add(SampleKind.FACE, point, edge_normal[chosen], unsampled_edges=both, dip=dip[chosen])
+    of_points = _edges_of_points(unsampled[chosen], along[chosen], dip[chosen])
+    collected.add(SampleKind.FACE, point, edge_normal[chosen], **of_points)
     point, face = _inner_points(vertices, faces, length[edges.face_edge].max(axis=1), spacing)
     collected.add(SampleKind.FACE, point, normals[face])
     return collected
 
 
-def _edges_of_vertices(count: int, ends, along, dip) -> tuple[np.ndarray, np.ndarray]:
-    """Unsampled edges at each vertex, the longest first, (count, 8, 3), and their largest dip, (count,)."""
+def _edges_of_vertices(count: int, ends, along, dip) -> dict[str, np.ndarray]:
+    """Unsampled edges at each vertex, and their largest dip, as columns of `SampleList`.
+
+    Args:
+        count: number of vertices.
+        ends: (e, 2) vertices of each unsampled edge.
+        along: (e, 3) from the first vertex to the next point on the edge [m].
+        dip: (e,) of each edge [m].
+    """
     vertex = ends.T.ravel()
-    along = np.concatenate([along, -along])
-    order = np.lexsort((-np.linalg.norm(along, axis=1), vertex))
-    vertex, along = vertex[order], along[order]
-    place = np.arange(len(vertex)) - np.searchsorted(vertex, vertex)
-    kept = place < MOST_EDGES
-    found = np.zeros((count, MOST_EDGES, 3))
-    found[vertex[kept], place[kept]] = along[kept]
+    order = np.argsort(vertex, kind="stable")
     largest = np.zeros(count)
     np.maximum.at(largest, ends, dip[:, None])
-    return found, largest
+    bounds = np.searchsorted(vertex[order], np.arange(count + 1))
+    edges = np.stack([bounds[:-1], bounds[1:]], axis=1)
+    return {"edges": edges, "dip": largest, "unsampled_edges": np.concatenate([along, -along])[order]}
+
+
+def _edges_of_points(unsampled, along, dip) -> dict[str, np.ndarray]:
+    """The same for points inside edges: both directions of each edge that is unsampled, (n,)."""
+    end = 2 * np.cumsum(unsampled)
+    both = np.stack([along, -along], axis=1)[unsampled]
+    return {"edges": np.stack([end - 2 * unsampled, end], axis=1), "dip": dip * unsampled, "unsampled_edges": both}
 
 
 def bends(vertices, faces, edges, normals) -> tuple[np.ndarray, np.ndarray]:
