@@ -1,19 +1,16 @@
 """The candidate pairs of the broad phase: their arrays, and the launches that keep them up to date."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warp_rigid.engine.layout import exclusive_sums
+from warp_rigid.engine.pools import CANDIDATES
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import candidates
 from warp_rigid.kernels.common import capacity
 from warp_rigid.kernels.common.crowd import CROWDED
-
-if TYPE_CHECKING:
-    from warp_rigid.engine.model import Model
 
 TRY_ALL_UP_TO = 256
 """Up to this number of bodies per environment, testing all pairs is faster than keeping candidates."""
@@ -49,9 +46,7 @@ class HashGrid:
     """The order of the bodies of each environment and, if one has many, their candidate pairs.
 
     Args:
-        model: the scenes on the device.
-        sizes: symbols of the data layout and their values, with those of `grid_sizes`.
-        device: the Warp device.
+        of_step: the Stages of the step.
 
     Attributes:
         buckets: number of buckets of all environments; 0 if all pairs are tested in each of them.
@@ -60,15 +55,15 @@ class HashGrid:
         cells: the device arrays.
     """
 
-    def __init__(self, model: "Model", sizes: dict[str, int], device: Any) -> None:
+    def __init__(self, of_step: Any) -> None:
         """Allocate the arrays; all candidates are computed in the first step."""
-        layout = model.layout
-        self.device, self.count, self.buckets = device, sizes["bodies"], sizes["buckets"]
+        self._step = of_step
+        layout, sizes = of_step.model.layout, of_step.pools.sizes
+        self.buckets = sizes["buckets"]
         self.room = sizes["candidates"] // sizes["bodies"]
-        self.lanes = LANES if self.buckets and device.is_cuda else 1
-        self.cells: Any = declare.allocate(schema.Cells, sizes, device)
-        self._model = model
-        groups = [model.size_groups[scene] for scene in layout.scenes]
+        self.lanes = LANES if self.buckets and of_step.device.is_cuda else 1
+        self.cells: Any = declare.allocate(schema.Cells, sizes, of_step.device)
+        groups = [of_step.model.size_groups[scene] for scene in layout.scenes]
         orders = [np.concatenate([group.small, group.oversized]).astype(np.int32) for group in groups]
         source = layout.copies([len(order) for order in orders])
         self.cells.order.assign(np.concatenate(orders)[source])
@@ -77,42 +72,25 @@ class HashGrid:
         self.cells.width.assign(finest[layout.scene_of].astype(np.float32))
         self.cells.first_bucket.assign(exclusive_sums(_buckets(layout.bodies_per_env)).astype(np.int32))
 
-    def update(self, dt: float, envs: Any, motions: Any, which: int, wanted_row: wp.array, wanted: wp.array) -> None:
-        """Compute the candidates of the environments in which a body has left its fat box.
-
-        Args:
-            dt: time step [s], for the motion ahead.
-            envs: the environments.
-            motions: with the swept boxes of this step.
-            which: column of `wanted` for the capacity.
-            wanted_row: see Pools.
-            wanted: see Pools.
-        """
+    def update(self) -> None:
+        """Compute the candidates of the environments in which a body has left its fat box."""
         if not self.buckets:
             return
-        cells, bodies = self.cells, self._model.bodies
+        step, cells, bodies, pools = self._step, self.cells, self._step.model.bodies, self._step.pools
         for array in (cells.stale, cells.levels, cells.dynamic_levels):
             array.zero_()
-        inputs = [dt, self._model.shapes, bodies, motions]
-        self._per_body(candidates.find_stale, [bodies, envs, motions])
-        self._per_body(candidates.enlarge_boxes, inputs)
+        step.per_body(candidates.find_stale, [bodies, step.envs, step.motions], [cells])
+        step.per_body(candidates.enlarge_boxes, [step.dt, step.model.shapes, bodies, step.motions], [cells])
         wp.utils.array_scan(cells.bucket_count, cells.bucket_start, inclusive=False)
-        self._per_body(candidates.fill_buckets, [bodies])
-        inputs = [self.room, self.lanes, bodies]
-        wp.launch(
-            candidates.search_cells, dim=self.count * self.lanes, inputs=inputs, outputs=[cells], device=self.device
-        )
-        self._per_body(candidates.finish_lists, [which, self.room, bodies, wanted_row], [wanted])
+        step.per_body(candidates.fill_buckets, [bodies], [cells])
+        step.launch(candidates.search_cells, step.rows * self.lanes, [self.room, self.lanes, bodies], [cells])
+        inputs = [CANDIDATES, self.room, bodies, pools.wanted_row]
+        step.per_body(candidates.finish_lists, inputs, [cells, pools.wanted])
 
-    def note_use(self, which: int, wanted: wp.array) -> None:
-        """Record the capacity that the current lists of candidates require; the arguments are those of `update`."""
+    def note_use(self) -> None:
+        """Record the capacity that the current lists require; a step only records what exceeds their capacity."""
         if self.buckets:
-            inputs = [which, self.cells.listed]
-            wp.launch(capacity.note_longest, dim=self.count, inputs=inputs, outputs=[wanted], device=self.device)
-
-    def _per_body(self, kernel: Any, inputs: list, more: Sequence = ()) -> None:
-        outputs = [self.cells, *more]
-        wp.launch(kernel, dim=self.count, inputs=inputs, outputs=outputs, device=self.device)
+            self._step.per_body(capacity.note_longest, [CANDIDATES, self.cells.listed], [self._step.pools.wanted])
 
 
 def _buckets(bodies_per_env: np.ndarray) -> np.ndarray:

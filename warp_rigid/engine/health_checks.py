@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.step import Stages
@@ -44,18 +43,16 @@ def check_loads(stages: Stages) -> None:
 
 def check(stages: Stages) -> None:
     """Check all environments of a shard after a step; `load_kernels` must have been called for `STEP`."""
-    model, pools, device = stages.model, stages.pools, stages.device
+    model, pools = stages.model, stages.pools
     stages.motions.overlap.zero_()
     inputs = [model.shapes, model.bodies, pools.pairs, pools.history]
     stages.share(health.check_overlaps, pools.sizes["pairs"], inputs, [stages.motions])
     check_loads(stages)
-    joints = stages.joints.arrays
-    drives = [model.bodies, joints]
-    wp.launch(health.check_drives, dim=joints.broken.shape[0], inputs=drives, outputs=[stages.envs], device=device)
+    joints = model.joints
+    stages.launch(health.check_drives, joints.broken.shape[0], [model.bodies, joints], [stages.envs])
     inputs, outputs = [model.shapes, model.bodies, stages.motions], [stages.state, stages.envs]
-    wp.launch(health.check_bodies, dim=stages.rows, inputs=inputs, outputs=outputs, device=device)
-    inputs = [stages.dt, *inputs, pools.graph]
-    wp.launch(health.check_environments, dim=stages.num_envs, inputs=inputs, outputs=outputs, device=device)
+    stages.per_body(health.check_bodies, inputs, outputs)
+    stages.per_env(health.check_environments, [stages.dt, *inputs, pools.graph], outputs)
 
 
 def warning_records(envs: Any, dt: float) -> np.ndarray:

@@ -72,8 +72,8 @@ class HeapStages:
         pools, bodies = self.pools, self.model.bodies
         inputs, changed = [self.envs, pools.rounds], [pools.graph, self.motions, pools.contacts]
         self._step.share(rest.find_held_bodies, self.most_pairs, inputs, changed, before=[self.dt])
-        self._step._per_body(rest.find_restless_islands, [self.dt, bodies, *inputs], changed[:2])
-        self._step._per_body(rest.stop_resting_bodies, [bodies, self.envs], changed[:2])
+        self._step.per_body(rest.find_restless_islands, [self.dt, bodies, *inputs], changed[:2])
+        self._step.per_body(rest.stop_resting_bodies, [bodies, self.envs], changed[:2])
 
     def push_out(self) -> None:
         """Push-out in rounds."""
@@ -102,7 +102,7 @@ class HeapStages:
             for place in range(1, ROUNDS_OF_A_GROUP + 1):
                 inputs = [place, sharing, *read]
                 wp.launch(kernel, dim, inputs, changed, block_dim=team.SMALL_BLOCK, device=self.device)
-            wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
+            self._step.launch(rounds.close_rounds, 1, [ROUNDS_OF_A_GROUP], [some])
 
         wp.capture_while(some.again, group)
 

@@ -5,7 +5,6 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from warp_rigid.engine import loading
 from warp_rigid.engine.mechanisms import Mechanisms, find_mechanisms
@@ -177,133 +176,110 @@ class JointStages:
 
     def __init__(self, of_step: Any) -> None:
         """Look up the arrays."""
-        self._step = of_step
-        model = of_step.model
-        self.arrays = model.joints
-        sizes = model.layout.sizes
+        self._step, model, sizes = of_step, of_step.model, of_step.model.layout.sizes
+        self.arrays, self.bodies, self.state = model.joints, model.bodies, of_step.state
+        self.motions, self.pools, self.dt = of_step.motions, of_step.pools, of_step.dt
         self._joints, self._mechanisms = sizes["joints"], sizes["mechanisms"]
         self.present = self._joints > 0
         self.kernels: Any = import_module(loading.JOINTS) if self.present else None
 
     def bound_travel(self) -> None:
         """Cover the motion of mechanisms by the bounding boxes of their bodies."""
-        step = self._step
         if self.present:
-            self._per_mechanism(
-                self.kernels.bound_travel, [step.dt], [step.model.bodies, step.state], [step.motions, self.arrays]
-            )
+            outputs = [self.motions, self.arrays]
+            self._per_mechanism(self.kernels.bound_travel, [self.dt], [self.bodies, self.state], outputs)
 
     def join_islands(self) -> None:
         """Joints make one island of those of their bodies."""
-        step = self._step
         if self.present:
-            inputs = [step.model.bodies, self.arrays]
-            self._launch(self.kernels.join_joined_islands, self._joints, inputs, [step.pools.graph])
+            inputs = [self.bodies, self.arrays]
+            self._step.launch(self.kernels.join_joined_islands, self._joints, inputs, [self.pools.graph])
 
     def start(self) -> None:
         """Rows and factors of the step."""
-        step = self._step
         if self.present:
-            inputs = [step.model.bodies, step.state]
-            changed = [step.motions, step.pools.graph, self.arrays]
-            self._per_mechanism(self.kernels.start_joints, [step.dt], inputs, changed)
+            changed = [self.motions, self.pools.graph, self.arrays]
+            self._per_mechanism(self.kernels.start_joints, [self.dt], [self.bodies, self.state], changed)
 
     def solve_impacts(self, otherwise: Any) -> None:
         """Impacts; mechanisms take part as wholes. `otherwise`: the kernel where there are no joints."""
-        step = self._step
-        inputs = [step.pools.order, step.pools.graph, step.motions, step.pools.contacts]
+        pools = self.pools
+        changed = [pools.order, pools.graph, self.motions, pools.contacts]
         if self.present:
-            inputs = [step.pools.constraints, *inputs, self.arrays]
-            self._per_team(self.kernels.solve_impacts_with_joints, inputs, [step.dt])
+            changed = [pools.constraints, *changed, self.arrays]
+            self._per_team(self.kernels.solve_impacts_with_joints, changed, [self.dt])
         else:
-            self._per_team(otherwise, inputs, [step.dt])
+            self._per_team(otherwise, changed, [self.dt])
 
     def solve_contacts(self) -> None:
         """Contact solver with mechanisms, whose initial impulses are applied before the first sweep."""
-        step, kernels = self._step, self.kernels
-        graph, motions = step.pools.graph, step.motions
-        inputs = [step.pools.order, graph, motions, step.pools.contacts, self.arrays, step.pools.visits]
-        self._per_team(kernels.warm_start_with_joints, [step.pools.constraints, *inputs])
+        step, kernels, pools = self._step, self.kernels, self.pools
+        graph, motions = pools.graph, self.motions
+        changed = [pools.order, graph, motions, pools.contacts, self.arrays, pools.visits]
+        self._per_team(kernels.warm_start_with_joints, [pools.constraints, *changed])
         self.settle(after_push=0)
-        self._per_team(kernels.sweep_with_joints, inputs, [0, step.dt])
+        self._per_team(kernels.sweep_with_joints, changed, [0, self.dt])
         step.solve_parts(SolverPart.REST)
         for k in range(step.repetitions):
             repetition = range(k, k + 1)
             self._per_team(kernels.store_joint_start, [graph, self.arrays])
             step.solve_parts(SolverPart.PASSES, repetition)
-            self._per_team(kernels.sweep_with_joints, inputs, [kernels.AFTER_PASSES, step.dt])
+            self._per_team(kernels.sweep_with_joints, changed, [kernels.AFTER_PASSES, self.dt])
             step.solve_parts(SolverPart.ENERGY, repetition)
-            self._per_team(kernels.add_energy_of_joints, [graph, motions, self.arrays], [step.dt])
+            self._per_team(kernels.add_energy_of_joints, [graph, motions, self.arrays], [self.dt])
             step.solve_parts(SolverPart.STEP_LENGTH, repetition)
             self._per_team(kernels.blend_joints, [graph, motions, self.arrays])
-        self._per_team(kernels.sweep_with_joints, inputs, [1, step.dt])
+        self._per_team(kernels.sweep_with_joints, changed, [1, self.dt])
         step.solve_parts(SolverPart.CALM)
 
     def settle(self, after_push: int) -> None:
         """Solve the mechanisms for the pose that the step ends with, before the sweeps or after the push-out."""
-        step = self._step
-        if self.present:
-            inputs = [step.model.bodies, step.state]
-            changed = [step.motions, self.arrays]
-            if after_push == 0:
-                self._per_mechanism(self.kernels.move_untouched, [step.dt], inputs, changed)
-            self._per_mechanism(self.kernels.settle_joints, [after_push, step.dt], inputs, changed)
+        inputs, changed = [self.bodies, self.state], [self.motions, self.arrays]
+        if after_push == 0:
+            self._per_mechanism(self.kernels.move_untouched, [self.dt], inputs, changed)
+        self._per_mechanism(self.kernels.settle_joints, [after_push, self.dt], inputs, changed)
 
     def push_out(self) -> None:
         """Separate the contacts of mechanisms."""
-        step = self._step
         if self.present:
-            inputs = [step.pools.order, step.pools.graph, step.motions, step.pools.contacts]
-            self._per_team(self.kernels.push_joined, [*inputs, self.arrays, step.pools.visits])
+            pools = self.pools
+            changed = [pools.order, pools.graph, self.motions, pools.contacts, self.arrays, pools.visits]
+            self._per_team(self.kernels.push_joined, changed)
             self.settle(after_push=1)
 
     def join_courses(self) -> None:
         """Before a round of impacts: the bodies of a mechanism move on alike after one."""
-        step = self._step
         if self.present:
-            self._per_mechanism(self.kernels.join_courses, [], [step.model.bodies], [step.motions, self.arrays])
+            self._per_mechanism(self.kernels.join_courses, [], [self.bodies], [self.motions, self.arrays])
 
     def share_impacts(self) -> None:
         """After a round: the impact of a body is that of its mechanism."""
-        step = self._step
         if self.present:
-            inputs = [step.model.bodies, step.state, step.pools.pairs]
-            self._per_mechanism(self.kernels.share_impacts, [step.dt], inputs, [step.motions, self.arrays])
+            inputs = [self.bodies, self.state, self.pools.pairs]
+            self._per_mechanism(self.kernels.share_impacts, [self.dt], inputs, [self.motions, self.arrays])
 
     def close_stopped(self) -> None:
         """After the last round: close the joints that stopped."""
-        step = self._step
         if self.present:
-            inputs = [step.model.bodies, step.state]
-            changed = [step.motions, self.arrays]
-            self._per_mechanism(self.kernels.close_stopped, [step.dt], inputs, changed)
+            outputs = [self.motions, self.arrays]
+            self._per_mechanism(self.kernels.close_stopped, [self.dt], [self.bodies, self.state], outputs)
 
     def end(self) -> None:
         """Coordinates, forces and breaking, after the position update."""
-        step = self._step
         if self.present:
-            inputs = [step.dt, step.envs, step.model.bodies, step.motions]
-            self._launch(self.kernels.end_joints, self._joints, inputs, [self.arrays, step.pools.graph])
-            self._per_mechanism(self.kernels.note_coordinates, [], [step.state], [self.arrays])
+            inputs = [self.dt, self._step.envs, self.bodies, self.motions]
+            self._step.launch(self.kernels.end_joints, self._joints, inputs, [self.arrays, self.pools.graph])
+            self._per_mechanism(self.kernels.note_coordinates, [], [self.state], [self.arrays])
 
     def support(self) -> None:
         """Sleeping: islands that hang from the world are supported."""
-        step = self._step
         if self.present:
-            inputs = [step.model.bodies, step.motions, step.pools.graph, self.arrays]
-            self._launch(self.kernels.support_joined, self._joints, inputs, [step.sleep_state])
+            inputs = [self.bodies, self.motions, self.pools.graph, self.arrays]
+            self._step.launch(self.kernels.support_joined, self._joints, inputs, [self._step.sleep_state])
 
-    def _per_mechanism(self, kernel: Any, before: Sequence, inputs: Sequence, outputs: Sequence) -> None:
+    def _per_mechanism(self, kernel: Any, before: list, inputs: list, outputs: list) -> None:
         lanes = int(team.MECHANISM_LANES) if self._step.device.is_cuda else 1
-        self._launch(kernel, self._mechanisms * lanes, [*before, lanes, *inputs], outputs)
+        self._step.launch(kernel, self._mechanisms * lanes, [*before, lanes, *inputs], outputs)
 
-    def _per_team(self, kernel: Any, inputs: Sequence, before: Sequence = ()) -> None:
-        step = self._step
-        inputs = [*before, step.lanes, step.envs, *inputs]
-        self._launch(kernel, step.num_envs * step.lanes, inputs, [])
-
-    def _launch(self, kernel: Any, dim: int, inputs: Sequence, outputs: Sequence) -> None:
-        block, device = team.block_of(self._step.lanes), self._step.device
-        inputs, outputs = [*inputs], [*outputs]
-        kernel = loading.kernel_for(kernel, device, self._step.lanes)
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=device)
+    def _per_team(self, kernel: Any, changed: list, before: Sequence = ()) -> None:
+        self._step.per_team(kernel, [], changed, before)

@@ -78,7 +78,7 @@ def block_of(name: str, lanes: int) -> int:
 
     Lanes that search samples take very different times, and a block ends with its slowest one.
     """
-    if name in NAMES_OF_TEAM_MODULES:
+    if name in (*NAMES_OF_TEAM_MODULES, JOINTS):
         return team.block_of(lanes)
     return team.SMALL_BLOCK if name in (narrowphase.__name__, ccd.__name__) else team.BLOCK
 
@@ -137,8 +137,6 @@ def load_kernels(
     def blocks_of(module: Any, size: int) -> list[int]:
         if not device.is_cuda:
             return [1]
-        if module.__name__ == JOINTS:
-            return [team.block_of(size)]
         if module in HEAPS:
             return [team.BLOCK, team.SMALL_BLOCK]
         return [block_of(module.__name__, size)]

@@ -19,6 +19,9 @@ NAMES = ("pairs", "contacts")
 POOLS = (*NAMES, "candidates", "near_samples")
 """Names of all pools, in the order of `wanted` on the device."""
 
+PAIRS, CONTACTS, CANDIDATES, NEAR_SAMPLES = range(len(POOLS))
+"""Columns of `wanted`."""
+
 LARGEST = 2**30
 """Maximum capacity of a pool, as the two ends of each pair are counted in 32 bits."""
 

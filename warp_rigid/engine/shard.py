@@ -124,7 +124,7 @@ class Shard:
         with wp.ScopedCapture(self._device, force_module_load=False) as loads:
             health_checks.check_loads(stages)
         with wp.ScopedCapture(self._device, force_module_load=False) as candidates:
-            stages.note_candidates()
+            stages.grid.note_use()
         self.pools, self._stages, self._kept, self._keeping = pools, stages, kept, capture.graph
         self._checking, self._checking_loads, self._noting = checking.graph, loads.graph, candidates.graph
         self._measuring: Any = None

@@ -13,22 +13,16 @@ from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.heaps import HeapStages
 from warp_rigid.engine.joints import JointStages
 from warp_rigid.engine.model import Model
-from warp_rigid.engine.pools import Pools
+from warp_rigid.engine.pools import CONTACTS, NEAR_SAMPLES, PAIRS, Pools
 from warp_rigid.engine.step_parts import StepParts, useful_workers
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
-from warp_rigid.kernels.common import capacity, crowd, team
+from warp_rigid.kernels.common import capacity, crowd
 from warp_rigid.kernels.constraints import build_contacts
 from warp_rigid.kernels.enums import IslandSolver, SolverPart
 from warp_rigid.kernels.graph import coloring, islands, support
-from warp_rigid.kernels.solve import (
-    contact_solver,
-    push_out,
-    restitution,
-)
+from warp_rigid.kernels.solve import contact_solver, push_out, restitution
 from warp_rigid.kernels.update import ground_motion, integrate, paths, predict, sleep, watch
-
-PAIRS, CONTACTS, CANDIDATES, NEAR_SAMPLES = 0, 1, 2, 3
 
 AT_REST = 0.05
 """Speed below which a body counts as resting [m/s]."""
@@ -103,11 +97,10 @@ class Stages:
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.moving = [dt, model.shapes, model.bodies, state, self.motions]
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
-        self.grid = HashGrid(model, pools.sizes, self.device)
         self.parts = StepParts(self.device, useful_workers(workers, layout.most_bodies) if self.crowded else 1)
         # A cycle of references would keep all arrays until the garbage collector runs.
         of_step = weakref.proxy(self)
-        self.joints, self.heaps = JointStages(of_step), HeapStages(of_step)
+        self.grid, self.joints, self.heaps = HashGrid(of_step), JointStages(of_step), HeapStages(of_step)
         optional = (
             (loading.SLEEP, sleeping),
             (loading.GROUND, self.has_surface_velocity),
@@ -158,7 +151,7 @@ class Stages:
         count = self.model.surface_vertices
         if count:
             inputs = [self.dt, self.model.surface_node, self.envs, self.model.surfaces]
-            self._launch(ground_motion.move_ground, count, inputs, [self.model.shapes])
+            self.launch(ground_motion.move_ground, count, inputs, [self.model.shapes])
 
     @stage
     def follow_paths(self) -> None:
@@ -166,7 +159,7 @@ class Stages:
         count = self.model.layout.sizes["paths"]
         if count:
             inputs = [self.dt, self.model.paths, self.model.bodies, self.envs]
-            self._launch(paths.follow_paths, count, inputs, [self.state])
+            self.launch(paths.follow_paths, count, inputs, [self.state])
 
     @stage
     def set_surface_velocity(self, before_step: bool) -> None:
@@ -174,30 +167,25 @@ class Stages:
         if self.has_surface_velocity:
             model, contacts = self.model, self.pools.contacts
             inputs = [int(before_step), model.surface_node, self.dt, model.shapes, model.bodies, self.state]
-            wp.launch(
-                ground_motion.set_surface_velocity,
-                dim=contacts.key.shape[0],
-                inputs=[*inputs, self.envs, self.motions, model.surfaces, self.pools.pairs],
-                outputs=[contacts],
-                device=self.device,
-            )
+            inputs += [self.envs, self.motions, model.surfaces, self.pools.pairs]
+            self.launch(ground_motion.set_surface_velocity, contacts.key.shape[0], inputs, [contacts])
 
     @stage
     def predict(self, dt: float) -> None:
         """Prediction: derive world quantities and swept bounding boxes from the state."""
         model = self.model
         inputs = [dt, model.shapes, model.bodies, self.state, self.sleep_state, self.envs, model.fields]
-        self._per_body(predict.derive_motion, inputs, [self.motions])
+        self.per_body(predict.derive_motion, inputs, [self.motions])
         self.joints.bound_travel()
         if self.model.surface_vertices:
             inputs = [self.model.shapes, self.model.bodies, self.envs]
-            self._per_body(ground_motion.drive_ground, inputs, [self.motions])
+            self.per_body(ground_motion.drive_ground, inputs, [self.motions])
 
     @stage
     def find_pairs(self) -> None:
         """Broad phase: count the pairs with overlapping boxes, sum the counts, and write the pairs."""
         pairs = self.pools.pairs
-        self.grid.update(self.dt, self.envs, self.motions, CANDIDATES, self.pools.wanted_row, self.pools.wanted)
+        self.grid.update()
         self._search_pairs(write=0)
         self._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
         self._search_pairs(write=1)
@@ -211,7 +199,7 @@ class Stages:
         self._search_contacts(woken=0)
         if self.sleeping:
             self._per_pair(sleep.wake_touched, [pairs], [self.sleep_state])
-            self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
+            self.per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
         size, inputs = self.pools.sizes["pairs"], [*self.moving, self.envs, pairs, self.pools.near, self.pools.history]
@@ -221,16 +209,16 @@ class Stages:
     @stage
     def wake_changed_islands(self) -> None:
         """Sleeping: wake the islands that were changed by the user, or whose support was changed."""
-        self._per_body(sleep.find_changed, [self.model.bodies, self.state], [self.motions, self.sleep_state, self.envs])
+        self.per_body(sleep.find_changed, [self.model.bodies, self.state], [self.motions, self.sleep_state, self.envs])
         self.wake_disturbed_islands()
 
     def wake_disturbed_islands(self) -> None:
         """Wake the islands of the bodies marked as disturbed, and those in contact with them."""
-        self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
+        self.per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
         joints = self.model.joints
         inputs = [joints.body_a, joints.body_b, self.motions]
-        self._launch(sleep.wake_joined, self.model.layout.sizes["joints"], inputs, [self.sleep_state])
-        self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
+        self.launch(sleep.wake_joined, self.model.layout.sizes["joints"], inputs, [self.sleep_state])
+        self.per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
 
     @stage
     def build_graph(self) -> None:
@@ -239,25 +227,24 @@ class Stages:
         self._per_constraint(support.start_graph, [self.envs, self.pools.pairs], [constraints, graph])
         found = [bodies, self.motions, self.pools.contacts, constraints]
         self._per_constraint(support.find_support, found, [graph])
-        self._per_env(support.compare_graph, [], [graph])
-        self._per_body(islands.start_islands, [bodies], [graph])
+        self.per_env(support.compare_graph, [], [graph])
+        self.per_body(islands.start_islands, [bodies], [graph])
         self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
         self.joints.join_islands()
         voting = [self.dt, self.model.shapes, bodies, self.envs, self.motions]
-        self._per_body(islands.vote, voting, [graph, self.state])
-        self._per_body(islands.choose_solver, [self.dt, bodies, self.envs], [graph])
+        self.per_body(islands.vote, voting, [graph, self.state])
+        self.per_body(islands.choose_solver, [self.dt, bodies, self.envs], [graph])
         if self.crowded:
             self.heaps.list_pairs()
-        own = [self.lanes, self.envs, bodies, constraints]
-        self._per_team(support.find_structure, own, [graph])
-        self._per_team(coloring.order_constraints, own, [graph, self.pools.order])
+        self.per_team(support.find_structure, [bodies, constraints], [graph])
+        self.per_team(coloring.order_constraints, [bodies, constraints], [graph, self.pools.order])
         self.joints.start()
 
     @stage
     def integrate_velocities(self, before_collisions: bool) -> None:
         """Velocity update: add the acceleration of the step, in environments whose stage order has it here."""
         inputs = [self.dt, 0 if before_collisions else 1, self.model.bodies, self.envs]
-        self._per_body(predict.integrate_velocities, inputs, [self.motions])
+        self.per_body(predict.integrate_velocities, inputs, [self.motions])
 
     @stage
     def solve_impacts(self) -> None:
@@ -303,23 +290,23 @@ class Stages:
     def integrate_positions(self) -> None:
         """Position update, with checks for non-finite states before it and for bodies out of bounds after it."""
         bodies = self.model.bodies
-        self._per_body(integrate.find_non_finite, [bodies, self.motions], [self.envs])
-        self._per_body(integrate.integrate_positions, [self.dt, bodies, self.motions, self.envs], [self.state])
+        self.per_body(integrate.find_non_finite, [bodies, self.motions], [self.envs])
+        self.per_body(integrate.integrate_positions, [self.dt, bodies, self.motions, self.envs], [self.state])
         if self.bounded:
-            self._per_body(integrate.keep_inside, [bodies, self.motions], [self.state, self.envs])
-        self._per_env(integrate.close_step, [self.pools.graph], [self.envs])
+            self.per_body(integrate.keep_inside, [bodies, self.motions], [self.state, self.envs])
+        self.per_env(integrate.close_step, [self.pools.graph], [self.envs])
         self.joints.end()
 
     @stage
     def update_sleep(self) -> None:
         """Sleeping: put islands to sleep that have been at rest for long enough."""
         graph, bodies, pairs = self.pools.graph, self.model.bodies, self.pools.pairs
-        self._per_body(sleep.track_motion, [self.model.shapes, bodies, self.state, self.motions], [self.sleep_state])
+        self.per_body(sleep.track_motion, [self.model.shapes, bodies, self.state, self.motions], [self.sleep_state])
         inputs = [self.dt, bodies, self.envs, self.motions, graph, self.state]
-        self._per_body(sleep.test_bodies_for_sleep, inputs, [self.sleep_state])
+        self.per_body(sleep.test_bodies_for_sleep, inputs, [self.sleep_state])
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
         self.joints.support()
-        self._per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
+        self.per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
 
     @stage
     def record_watches(self) -> None:
@@ -327,8 +314,8 @@ class Stages:
         model, pools = self.model, self.pools
         inputs = [self.envs, model.bodies, pools.pairs, pools.contacts]
         self.share(watch.watch_pairs, pools.sizes["pairs"], inputs, [self.watches])
-        self._per_body(watch.watch_bodies, [AT_REST, model.bodies, self.motions, self.state, self.envs], [self.watches])
-        self._per_env(watch.close_watches, [self.envs], [self.watches])
+        self.per_body(watch.watch_bodies, [AT_REST, model.bodies, self.motions, self.state, self.envs], [self.watches])
+        self.per_env(watch.close_watches, [self.envs], [self.watches])
 
     @stage
     def store_history(self) -> None:
@@ -346,16 +333,7 @@ class Stages:
         if self.sleeping:
             wp.copy(history.contact_start, self.kept.contact_start)
             self.share(sleep.replace_history, self.pools.sizes["contacts"], [self.kept], [history])
-        wp.launch(
-            capacity.close_row, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.wanted_row], device=self.device
-        )
-
-    def note_candidates(self) -> None:
-        """Record the capacity that the lists of candidates require; it is not part of the recorded step.
-
-        A step only records what exceeds their capacity.
-        """
-        self.grid.note_use(CANDIDATES, self.pools.wanted)
+        self.launch(capacity.close_row, 1, [self.pools.wanted], [self.pools.wanted_row])
 
     def levels(self) -> np.ndarray:
         """Level of each body in the contact graph of the last step, (bodies,).
@@ -372,8 +350,7 @@ class Stages:
         found = declare.allocate(schema.Graph, self.pools.sizes, self.device)
         found.supports = graph.supports
         found.swept.assign(chosen.astype(np.int32))
-        inputs = [self.lanes, self.envs, self.model.bodies, self.pools.constraints]
-        self._per_team(support.find_structure, inputs, [found])
+        self.per_team(support.find_structure, [self.model.bodies, self.pools.constraints], [found])
         return np.where(chosen[env] & (self.sleep_state.asleep.numpy() == 0), found.level.numpy(), level)
 
     def deepest_overlap(self, deepest: Any) -> None:
@@ -387,23 +364,23 @@ class Stages:
         self.find_pairs()
         lanes = teams.MEASURING_LANES if self.device.is_cuda else 1
         inputs = [lanes, self.model.shapes, self.model.bodies, self.state, self.pools.pairs]
-        self._launch(overlap.deepest_overlap, lanes * self.pools.sizes["pairs"], inputs, [deepest])
+        self.launch(overlap.deepest_overlap, lanes * self.pools.sizes["pairs"], inputs, [deepest])
 
     def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
         """Launch a solver kernel that processes the constraints colour by colour."""
         pools = self.pools
-        inputs = [*before, self.lanes, self.envs, pools.order]
-        self._per_team(kernel, inputs, [pools.graph, self.motions, pools.contacts])
+        self.per_team(kernel, [pools.order], [pools.graph, self.motions, pools.contacts], before)
 
-    def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
-        self._launch(kernel, self.rows, inputs, outputs)
+    def per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
+        """Launch a kernel with a thread for each body."""
+        self.launch(kernel, self.rows, inputs, outputs)
 
     def _per_constraint(self, kernel: Any, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share all constraints."""
         self.share(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
-        self._launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
+        self.launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
     def share(
         self, kernel: Any, size: int, inputs: list, outputs: list, before: Sequence = (), lanes: int | None = None
@@ -420,27 +397,28 @@ class Stages:
             sharing = self.parts.sharing(count)
             count = sharing.count
         own = [sharing, width] if lanes else [sharing]
-        self._launch(kernel, count * width, [*before, *own, *inputs], outputs)
+        self.launch(kernel, count * width, [*before, *own, *inputs], outputs)
 
-    def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
-        self._launch(kernel, self.num_envs, inputs, outputs)
+    def per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
+        """Launch a kernel with a thread for each environment."""
+        self.launch(kernel, self.num_envs, inputs, outputs)
 
-    def _per_team(self, kernel: Any, inputs: list, outputs: Sequence) -> None:
-        dim, block = self.num_envs * self.lanes, team.block_of(self.lanes)
-        kernel = loading.kernel_for(kernel, self.device, self.lanes)
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
+    def per_team(self, kernel: Any, inputs: list, outputs: list, before: Sequence = ()) -> None:
+        """Launch a kernel in which a team processes each environment."""
+        inputs = [*before, self.lanes, self.envs, *inputs]
+        self.launch(kernel, self.num_envs * self.lanes, inputs, outputs)
 
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
         """Exclusive sums of counts; a list that exceeds its capacity is emptied and its length recorded."""
         wp.utils.array_scan(count, start, inclusive=False)
-        wanted_row, wanted, rows, on = self.pools.wanted_row, self.pools.wanted, start.shape[0], self.device
-        wp.launch(capacity.note_wanted, rows, [which, start, wanted_row], [wanted], device=on)
-        wp.launch(capacity.empty_if_over, rows, [which, size, wanted_row, wanted], [start], device=on)
+        wanted_row, wanted, rows = self.pools.wanted_row, self.pools.wanted, start.shape[0]
+        self.launch(capacity.note_wanted, rows, [which, start, wanted_row], [wanted])
+        self.launch(capacity.empty_if_over, rows, [which, size, wanted_row, wanted], [start])
 
     def open_round(self, is_first: int) -> None:
         """List the pairs of a round: fast ones in the first round, then those of bodies that were hit."""
         pairs, suspects = self.pools.pairs, self.pools.suspects
-        self._per_body(ccd.open_round, [is_first, self.dt, pairs], [self.motions, suspects])
+        self.per_body(ccd.open_round, [is_first, self.dt, pairs], [self.motions, suspects])
         self.joints.join_courses()
         self.share(ccd.list_fast_pairs, self.pools.sizes["pairs"], [*self.moving, self.envs], [suspects, pairs])
 
@@ -459,7 +437,7 @@ class Stages:
         if not model.layout.has_only_solids:
             wp.capture_if(suspects.sampled, self._trace_samples)
         inputs = [self.dt, model.bodies, self.state, self.envs, pairs, suspects]
-        self._per_body(ccd.change_courses, inputs, [self.motions])
+        self.per_body(ccd.change_courses, inputs, [self.motions])
         self.joints.share_impacts()
 
     def _trace_samples(self) -> None:
@@ -497,7 +475,8 @@ class Stages:
             broadphase.list_pairs_of_bodies, self.rows, inputs, [self.pools.pairs], before=[write], lanes=grid.lanes
         )
 
-    def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
+    def launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
+        """Launch a kernel as it was compiled for this step."""
         block = loading.block_of(kernel.module.name, self.lanes)
         kernel = loading.kernel_for(kernel, self.device, self.lanes)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
