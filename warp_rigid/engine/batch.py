@@ -10,9 +10,10 @@ from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.engine.hash_grid import grid_sizes
 from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.engine.memory import MemoryLimit, pool_bytes
-from warp_rigid.engine.model import Model
+from warp_rigid.engine.model import Arrays
 from warp_rigid.engine.pools import CHUNK, LARGEST, NAMES, POOLS, sizes_for
 from warp_rigid.engine.shard import Shard
+from warp_rigid.engine.step import StepOptions
 from warp_rigid.errors import CapacityError
 
 log = logging.getLogger("warp_rigid")
@@ -77,10 +78,7 @@ class Shards:
 
     Args:
         ranges: as from `plan`.
-        model: the scene on the device.
-        state: state of the bodies.
-        sleep_state: sleep state of the bodies.
-        envs: settings of the environments.
+        arrays: the scenes and their state.
         capacity: fixed capacity for "pairs" and "contacts" of all shards together; None if pools grow.
         limit: memory limit of the simulator.
         other_bytes: bytes that the simulator uses besides the pools.
@@ -95,10 +93,7 @@ class Shards:
     def __init__(
         self,
         ranges: list[Range],
-        model: Model,
-        state: Any,
-        sleep_state: Any,
-        envs: Any,
+        arrays: Arrays,
         capacity: dict[str, int] | None,
         limit: MemoryLimit,
         other_bytes: int,
@@ -106,8 +101,8 @@ class Shards:
         """Create the shards; `choose` must be called next."""
         self._threads, self._attempt = usable_cores(), 0
         workers = self._threads if len(ranges) == 1 else 1
-        self._shards = [Shard(*some, model, state, sleep_state, envs, workers) for some in ranges]
-        self._envs, self._limit, self._other_bytes = envs, limit, other_bytes
+        self._shards = [Shard(*some, arrays, workers) for some in ranges]
+        self._envs, self._limit, self._other_bytes = arrays.envs, limit, other_bytes
         self._growth_reported, self._growing_ahead = False, True
         self.steps, self.capacity, self.most_wanted, self.repeated = 0, capacity, np.zeros(2, np.int64), 0
 
@@ -140,10 +135,10 @@ class Shards:
         """Whether the recorded step includes sleeping."""
         return self._shards[0].sleeping
 
-    def choose(self, dt: float, repetitions: int, sleeping: bool, running: bool) -> None:
-        """Choose what the step consists of; the arguments are those of Stages."""
+    def choose(self, options: StepOptions) -> None:
+        """Choose what the step consists of."""
         for shard in self._shards:
-            shard.choose(dt, repetitions, sleeping, running)
+            shard.choose(options)
 
     @property
     def most_steps(self) -> int:

@@ -89,6 +89,28 @@ class Model:
         )
 
 
+class Arrays(NamedTuple):
+    """The scenes on the device, and what steps change.
+
+    Attributes:
+        model: the scenes.
+        state: state of the bodies.
+        sleep_state: sleep state of the bodies.
+        envs: settings and status of the environments.
+    """
+
+    model: Model
+    state: Any
+    sleep_state: Any
+    envs: Any
+
+    def part(self, first: int, end: int) -> "Arrays":
+        """The environments `first` to `end - 1`, over the same arrays."""
+        ranges = self.model.layout.ranges(first, end)
+        changed = (declare.part(arrays, ranges) for arrays in (self.state, self.sleep_state, self.envs))
+        return Arrays(self.model.part(first, end), *changed)
+
+
 def build_model(layout: Layout, device: Any) -> Model:
     """Upload the scenes of all environments."""
     pool = build_pool(layout, device)

@@ -14,9 +14,9 @@ import warp as wp
 from warp_rigid.engine import health_checks
 from warp_rigid.engine.demand import Demand
 from warp_rigid.engine.loading import OVERLAP, load_kernels
-from warp_rigid.engine.model import Model
+from warp_rigid.engine.model import Arrays
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.step import Stages
+from warp_rigid.engine.step import Stages, StepOptions
 from warp_rigid.kernels import declare
 from warp_rigid.kernels.declare import Lifetime
 from warp_rigid.threads import exclusive
@@ -29,10 +29,7 @@ class Shard:
         first: the first environment.
         end: one past the last.
         sizes: sizes of its pools.
-        model: the model of all environments.
-        state: state of all environments.
-        sleep_state: sleep state of all environments.
-        envs: settings of all environments.
+        arrays: of all environments.
         workers: threads that execute its steps on a CPU, where it has many bodies.
 
     Attributes:
@@ -51,30 +48,16 @@ class Shard:
     watches: Any = None
     seconds = 0.0
     _stages: Stages | None = None
-    _chosen: tuple[float, int, bool, bool] | None = None
+    _options: StepOptions | None = None
 
-    def __init__(
-        self,
-        first: int,
-        end: int,
-        sizes: dict[str, int],
-        model: Model,
-        state: Any,
-        sleep_state: Any,
-        envs: Any,
-        workers: int,
-    ) -> None:
+    def __init__(self, first: int, end: int, sizes: dict[str, int], arrays: Arrays, workers: int) -> None:
         """Allocate the arrays; `choose` must be called next."""
         self.first, self.end = first, end
-        ranges = model.layout.ranges(first, end)
         self.num_envs, self._workers = end - first, workers
-        self.first_body, self.end_body = ranges["bodies"]
-        self._model = model.part(first, end)
-        self.layout = self._model.layout
-        self._state = declare.part(state, ranges)
-        self._sleep_state = declare.part(sleep_state, ranges)
-        self._envs = declare.part(envs, ranges)
-        self._device: Any = envs.step.device
+        self.first_body, self.end_body = arrays.model.layout.ranges(first, end)["bodies"]
+        self._arrays = arrays.part(first, end)
+        self.layout = self._arrays.model.layout
+        self._device: Any = arrays.envs.step.device
         self._saved_in: int | None = None
         self.pools = Pools.allocate(self.layout, sizes, self._device)
         self.demand = Demand()
@@ -82,7 +65,7 @@ class Shard:
 
     def note_masses(self) -> None:
         """Read the masses of the bodies; to be called when they have been changed."""
-        self._overload = health_checks.may_be_overloaded(self._model)
+        self._overload = health_checks.may_be_overloaded(self._arrays.model)
 
     @property
     def stages(self) -> Stages:
@@ -91,30 +74,26 @@ class Shard:
         Only one shard at a time can record, while no other one is stepping. If that fails, the shard is unchanged.
         """
         if self._stages is None:
-            self._record_with(self.pools)
+            self._record(self.pools)
         assert self._stages is not None
         return self._stages
 
-    def choose(self, dt: float, repetitions: int, sleeping: bool, running: bool) -> None:
-        """Choose what the step consists of; the arguments are those of Stages."""
-        if self._chosen != (dt, repetitions, sleeping, running):
-            self._chosen, self._stages = (dt, repetitions, sleeping, running), None
+    def choose(self, options: StepOptions) -> None:
+        """Choose what the step consists of."""
+        if self._options != options:
+            self._options, self._stages = options, None
 
     @property
     def sleeping(self) -> bool:
         """Whether the step includes sleeping."""
-        assert self._chosen is not None
-        return self._chosen[2]
+        assert self._options is not None
+        return self._options.sleeping
 
-    def _record_with(self, pools: Pools) -> None:
-        assert self._chosen is not None
-        with exclusive():
-            self._record(*self._chosen, pools)
-
-    def _record(self, dt: float, repetitions: int, sleeping: bool, running: bool, pools: Pools) -> None:
-        arrays = (self._model, self._state, self._sleep_state, self._envs, pools)
-        stages = Stages(*arrays, dt, repetitions, sleeping, running, self.watches, self._workers)
-        kept = self._kept_arrays(pools, sleeping)
+    @exclusive()
+    def _record(self, pools: Pools) -> None:
+        assert self._options is not None
+        stages = Stages(self._arrays, pools, self._options, self.watches, self._workers)
+        kept = self._kept_arrays(pools)
         with wp.ScopedCapture(self._device, force_module_load=False) as capture:
             for array, saved in kept:
                 wp.copy(saved, array)
@@ -166,15 +145,15 @@ class Shard:
 
     def grow(self, sizes: dict[str, int]) -> None:
         """Enlarge the pools and record the step again."""
-        self._record_with(self.pools.grown(sizes))
+        self._record(self.pools.grown(sizes))
 
     def record_measuring(self) -> None:
         """Record the kernels of `deepest_overlap`, unless recorded already; one shard at a time, as for the step."""
         stages = self.stages
         if self._measuring is None:
-            with exclusive():
-                self._record_measuring(stages)
+            self._record_measuring(stages)
 
+    @exclusive()
     def _record_measuring(self, stages: Stages) -> None:
         load_kernels(self._device, OVERLAP)
         self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
@@ -188,10 +167,11 @@ class Shard:
         wp.capture_launch(self._measuring)
         return self._deepest.numpy()[:, 0]
 
-    def _kept_arrays(self, pools: Pools, sleeping: bool) -> list[tuple[wp.array, wp.array]]:
+    def _kept_arrays(self, pools: Pools) -> list[tuple[wp.array, wp.array]]:
         """What a step leaves to the next one or to users, with the copies that undo it."""
-        lasting = [self._state, self._envs, pools.history, pools.graph, self._model.joints]
-        lasting += [self._sleep_state] if sleeping else []
+        model, state, sleep_state, envs = self._arrays
+        lasting = [state, envs, pools.history, pools.graph, model.joints]
+        lasting += [sleep_state] if self.sleeping else []
         lasting += [] if self.watches is None else [self.watches]
         arrays = [array for some in lasting for _, _, array in declare.arrays_of(some, Lifetime.REMEMBERED)]
         return [(array, wp.clone(array)) for array in arrays]

@@ -3,7 +3,7 @@
 import functools
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -12,7 +12,7 @@ from warp_rigid.engine import loading, teams
 from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.heaps import HeapStages
 from warp_rigid.engine.joints import JointStages
-from warp_rigid.engine.model import Model
+from warp_rigid.engine.model import Arrays
 from warp_rigid.engine.pools import CONTACTS, NEAR_SAMPLES, PAIRS, Pools
 from warp_rigid.engine.step_parts import StepParts, useful_workers
 from warp_rigid.kernels import declare, schema
@@ -50,40 +50,38 @@ def ignore_stage(name: str | None) -> None:
     """Do nothing (for a step that is not profiled)."""
 
 
-class Stages:
-    """The stages of a step over one set of arrays; a change of the pools requires a new object.
+class StepOptions(NamedTuple):
+    """What a step consists of.
 
-    Args:
-        model: the scenes on the device.
-        state: state of the bodies.
-        sleep_state: sleep state of the bodies.
-        envs: settings and status of the environments.
-        pools: pairs, contacts and graph.
+    Attributes:
         dt: time step [s].
         repetitions: largest number of shock iterations in any environment.
         sleeping: whether sleeping is enabled in any environment.
         running: whether the surface of any body runs.
+    """
+
+    dt: float
+    repetitions: int
+    sleeping: bool
+    running: bool
+
+
+class Stages:
+    """The stages of a step over one set of arrays; a change of the pools requires a new object.
+
+    Args:
+        arrays: the scenes and their state.
+        pools: pairs, contacts and graph.
+        options: what the step consists of.
         watches: what is recorded in every step; None for nothing.
         workers: threads that share the rows of a crowded environment on a CPU.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        state: Any,
-        sleep_state: Any,
-        envs: Any,
-        pools: Pools,
-        dt: float,
-        repetitions: int,
-        sleeping: bool,
-        running: bool,
-        watches: Any = None,
-        workers: int = 1,
-    ) -> None:
+    def __init__(self, arrays: Arrays, pools: Pools, options: StepOptions, watches: Any, workers: int) -> None:
         """Record the step; `load_kernels` must have been called for `STEP`."""
-        self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
-        self.dt, self.repetitions, self.sleeping, self.watches = dt, repetitions, sleeping, watches
+        self.model, self.state, self.sleep_state, self.envs = arrays
+        self.dt, self.repetitions, self.sleeping, running = options
+        self.pools, self.watches, model = pools, watches, self.model
         self.has_surface_velocity = running or model.surface_vertices > 0
         self.on_stage: Callable[[str | None], None] = ignore_stage
         self.current_stage: str | None = None
@@ -95,14 +93,14 @@ class Stages:
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies, layout.has_joints)
         self.search = teams.search_teams(layout.has_many_samples, self.crowded)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
-        self.moving = [dt, model.shapes, model.bodies, state, self.motions]
-        self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
+        self.moving = [self.dt, model.shapes, model.bodies, self.state, self.motions]
+        self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if self.sleeping else None
         self.parts = StepParts(self.device, useful_workers(workers, layout.most_bodies) if self.crowded else 1)
         # A cycle of references would keep all arrays until the garbage collector runs.
         of_step = weakref.proxy(self)
         self.grid, self.joints, self.heaps = HashGrid(of_step), JointStages(of_step), HeapStages(of_step)
         optional = (
-            (loading.SLEEP, sleeping),
+            (loading.SLEEP, self.sleeping),
             (loading.GROUND, self.has_surface_velocity),
             (loading.PATHS, layout.sizes["paths"] > 0),
             (loading.CANDIDATES, self.grid.buckets > 0),

@@ -10,9 +10,10 @@ from warp_rigid.engine.batch import Shards, plan
 from warp_rigid.engine.layout import Layout
 from warp_rigid.engine.loading import GRIDS, STEP, load_kernels
 from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
-from warp_rigid.engine.model import build_model, initial_environments, initial_state
+from warp_rigid.engine.model import Arrays, build_model, initial_environments, initial_state
 from warp_rigid.engine.precision import check_precision
 from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.step import StepOptions
 from warp_rigid.engine.teams import team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.scene import SURFACE_VELOCITIES
@@ -81,9 +82,9 @@ class World:
         self.watches: Any = None
         self.running = False
         self.envs: Any = initial_environments(layout, settings, device)
-        arrays = (self.model, self.state, self.sleep_state, self.envs)
+        arrays = Arrays(self.model, self.state, self.sleep_state, self.envs)
         limits = sizes if on_overflow == "raise" else None
-        self.shards = Shards(ranges, *arrays, limits, self.memory_limit, other_bytes)
+        self.shards = Shards(ranges, arrays, limits, self.memory_limit, other_bytes)
         self.choose_step()
 
     @property
@@ -99,7 +100,7 @@ class World:
         velocities = [getattr(self.model.bodies, name) for name in SURFACE_VELOCITIES]
         self.running = self.running or any(array.numpy().any() for array in velocities)
         sleeping = bool(self.envs.sleeping.numpy().any())
-        self.shards.choose(self.settings.dt, repetitions, sleeping, self.running)
+        self.shards.choose(StepOptions(self.settings.dt, repetitions, sleeping, self.running))
 
 
 def initial_capacity(layout: Layout, given: Mapping[str, int]) -> dict[str, int]:
