@@ -10,7 +10,7 @@ from PIL import Image
 import warp_rigid as wr
 from warp_rigid.commands import cli
 from warp_rigid.engine.hints import hints_on
-from warp_rigid.engine.quantities import owner_of, writable
+from warp_rigid.engine.quantities import SETTABLE, owner_of
 
 
 def hinted(act):
@@ -174,7 +174,7 @@ def every_quantity():
     return wr.Simulator(scene, device="cpu")
 
 
-@pytest.mark.parametrize("name", writable())
+@pytest.mark.parametrize("name", SETTABLE)
 def test_a_nan_is_named(name):
     sim = every_quantity()
     shape = sim.get(name).shape

@@ -58,7 +58,7 @@ def test_a_known_observer_with_wrong_bodies_is_not_suggested():
         check_observers(["peak_impulse[a,b,c]"])
 
 
-@pytest.mark.parametrize(("method", "names"), [("get", quantities.readable()), ("set", quantities.writable())])
+@pytest.mark.parametrize(("method", "names"), [("get", quantities.READABLE), ("set", quantities.SETTABLE)])
 def test_the_help_has_all_names(method, names):
     text = wr.Simulator.set.__doc__ + (wr.Simulator.get.__doc__ if method == "get" else "")
     assert set(names) <= set(re.findall(r'"(\w+)"', text))

@@ -6,7 +6,7 @@ import pytest
 import warp_rigid as wr
 from warp_rigid import scenes
 from warp_rigid.engine import hash_grid
-from warp_rigid.engine.quantities import owner_of, readable
+from warp_rigid.engine.quantities import READABLE, owner_of
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.sweep.batch_size import SizedRun, batch_bytes, footprint_of, split_into_batches
 from warp_rigid.sweep.design import Run
@@ -151,7 +151,7 @@ def hung(count):
     return scene
 
 
-@pytest.mark.parametrize("name", readable())
+@pytest.mark.parametrize("name", READABLE)
 def test_get_selects_as_indexing_does(device, name):
     """In a mixed batch, for each quantity; what an environment lacks is as in the whole array."""
     sim = wr.Simulator([hung(2), hung(4)], num_envs=2, device=device)

@@ -11,15 +11,12 @@ from warp_rigid.scene.fields import FIELDS, ForceField
 PREFIX = "field_"
 
 
-def names() -> tuple[str, ...]:
-    """Names of the parameters of all kinds of force fields."""
-    return tuple(dict.fromkeys(PREFIX + name for kind in FIELDS.values() for name in kind.parameters()))
-
-
-def vector_names() -> tuple[str, ...]:
-    """Names of those parameters that are vectors."""
-    kinds = [kind.parameters() for kind in FIELDS.values()]
-    return tuple(dict.fromkeys(PREFIX + name for kind in kinds for name, is_vector in kind.items() if is_vector))
+TAILS = {
+    PREFIX + name: (3,) if is_vector else ()
+    for kind in FIELDS.values()
+    for name, is_vector in kind.parameters().items()
+}
+"""Shape of the parameters of all kinds of force fields by name: that of a vector or of a number."""
 
 
 def read(layout: Layout, parameters: np.ndarray, name: str) -> np.ndarray:
@@ -28,18 +25,16 @@ def read(layout: Layout, parameters: np.ndarray, name: str) -> np.ndarray:
     Args:
         layout: the environments.
         parameters: (fields, columns) parameters of all fields as on the device.
-        name: one of `names`.
+        name: one of TAILS.
 
     Raises:
         ValueError: no force field of the scenes has the parameter.
     """
-    columns = _columns(layout, name)
-    tail = (3,) if any(stop - start == 3 for start, stop in columns.values()) else ()
-    values = np.full((len(parameters), *tail), np.nan, np.float32)
+    values = np.full((len(parameters), *TAILS[name]), np.nan, np.float32)
     source = _source(layout)
-    for index, (start, stop) in columns.items():
+    for index, columns in _columns(layout, name).items():
         own = source == index
-        values[own] = parameters[own, start:stop].reshape(-1, *tail)
+        values[own] = parameters[own, columns].reshape(-1, *TAILS[name])
     return spread_rows(values, layout.table("fields"))
 
 
@@ -49,7 +44,7 @@ def write(layout: Layout, parameters: np.ndarray, name: str, new: np.ndarray, ro
     Args:
         layout: the environments.
         parameters: (fields, columns) as for `read`; changed in place.
-        name: one of `names`.
+        name: one of TAILS.
         new: (n, most fields, ...) values.
         rows: (n, most fields) rows of the fields.
 
@@ -58,14 +53,14 @@ def write(layout: Layout, parameters: np.ndarray, name: str, new: np.ndarray, ro
     """
     fields, source = _fields(layout), _source(layout)
     changes = []
-    for index, (start, stop) in _columns(layout, name).items():
+    for index, columns in _columns(layout, name).items():
         chosen = (rows != LACKING) & (source[np.maximum(rows, 0)] == index)
-        values = new[chosen].reshape(-1, stop - start)
+        values = new[chosen].reshape(-1, columns.stop - columns.start)
         for value in np.unique(values, axis=0):
             check(fields[index], name, value)
-        changes.append((rows[chosen], start, stop, values))
-    for own, start, stop, values in changes:
-        parameters[own, start:stop] = values
+        changes.append((rows[chosen], columns, values))
+    for own, columns, values in changes:
+        parameters[own, columns] = values
 
 
 def having(layout: Layout, name: str) -> np.ndarray:
@@ -138,16 +133,9 @@ def _source(layout: Layout) -> np.ndarray:
     return layout.copies([len(scene.force_fields) for scene in layout.scenes])
 
 
-def _columns(layout: Layout, name: str) -> dict[int, tuple[int, int]]:
-    """For each field of the distinct scenes that has a parameter, the first and last column of it."""
-    parameter = name.removeprefix(PREFIX)
-    fields = _fields(layout)
+def _columns(layout: Layout, name: str) -> dict[int, slice]:
+    """For each field of the distinct scenes that has a parameter, the columns of it."""
+    fields, parameter = _fields(layout), name.removeprefix(PREFIX)
     fields_with(fields, name)
-    found = {}
-    for index, field in enumerate(fields):
-        start = 0
-        for own, is_vector in type(field).parameters().items():
-            if own == parameter:
-                found[index] = (start, start + (3 if is_vector else 1))
-            start += 3 if is_vector else 1
-    return found
+    columns = [type(field).columns().get(parameter) for field in fields]
+    return {index: own for index, own in enumerate(columns) if own is not None}

@@ -22,7 +22,7 @@ from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.layout import LACKING, spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.precision import check_mass_ratio
-from warp_rigid.engine.selection import body_rows, env_indices, existing, joint_rows, rows_to_read
+from warp_rigid.engine.selection import env_indices, existing, rows_of, rows_to_read
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.world import World
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -31,7 +31,8 @@ from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, check_mass
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
 VECTOR_LENGTHS = {
     name: 4 if name == "orientation" else 3
-    for name in (*STATE_NAMES, *SURFACE_VELOCITIES, "gravity", *field_values.vector_names())
+    for name in (*STATE_NAMES, *SURFACE_VELOCITIES, "gravity", *field_values.TAILS)
+    if field_values.TAILS.get(name) != ()
 }
 """Numbers of components of the quantities that are vectors."""
 VELOCITIES = ("linear_velocity", "angular_velocity")
@@ -50,13 +51,18 @@ LACKED = {
 
 DERIVED = ("inertia", "center_of_mass", "kinetic_energy", "potential_energy", "asleep", "level")
 WRITABLE = (*STATE_NAMES, *SURFACE_VELOCITIES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
+"""Names of the quantities of bodies and environments that can be set."""
+SETTABLE = (*WRITABLE, *field_values.TAILS, *joint_quantities.WRITABLE)
+"""Names of all quantities that can be set, also those of force fields and joints."""
+READABLE = (*SETTABLE, *DERIVED, *joint_quantities.DERIVED)
+"""Names of the quantities that `read` knows."""
 
 
 def owner_of(name: str) -> str:
     """What a quantity has a value for: "bodies", "joints", "fields" or "envs"."""
     if name in joint_quantities.READABLE:
         return "joints"
-    if name in field_values.names():
+    if name in field_values.TAILS:
         return "fields"
     return "envs" if name == "gravity" or name in PER_ENVIRONMENT else "bodies"
 
@@ -68,7 +74,10 @@ def is_of_bodies(name: str) -> bool:
 
 def select(world: World, name: str, envs: Any, bodies: Any, joints: Any) -> np.ndarray:
     """A copy of a quantity of chosen environments, bodies and joints; see Simulator.get."""
-    _check_readable(name)
+    if name not in READABLE:
+        _refuse_dt(name)
+        known = suggestion(name, READABLE, "help(Simulator.get)")
+        raise ValueError(f"name: must be a quantity, got {shown(name)}{known}")
     check_owner(name, bodies, joints)
     chosen = env_indices(world.num_envs, envs)
     values, wanted, owner = read(world, name), bodies if joints is None else joints, owner_of(name)
@@ -94,13 +103,6 @@ def check_owner(name: str, bodies: Any, joints: Any) -> None:
         raise ValueError(f"joints: must not be given for {name}, which is no quantity of joints")
 
 
-def _check_readable(name: str) -> None:
-    if not is_readable(name):
-        _refuse_dt(name)
-        known = suggestion(name, readable(), "help(Simulator.get)")
-        raise ValueError(f"name: must be a quantity, got {shown(name)}{known}")
-
-
 def read(world: World, name: str) -> np.ndarray:
     """A copy of a quantity of all environments, (envs, ...)."""
     if name in STATE_NAMES:
@@ -117,38 +119,23 @@ def read(world: World, name: str) -> np.ndarray:
         return _flags(world, world.sleep_state.asleep)
     if name == "active":
         return _flags(world, world.state.active)
-    if name in field_values.names():
+    if name in field_values.TAILS:
         return field_values.read(world.layout, world.model.fields.parameters.numpy(), name)
     if name in joint_quantities.READABLE:
         return joint_quantities.read(world, name)
     return _DERIVE[name](world)
 
 
-def readable() -> tuple[str, ...]:
-    """Names of the quantities that `read` knows."""
-    return (*writable(), *DERIVED, *joint_quantities.DERIVED)
-
-
-def is_readable(name: str) -> bool:
-    """Whether `read` knows a quantity."""
-    return name in readable()
-
-
-def writable() -> tuple[str, ...]:
-    """Names of the quantities that can be set."""
-    return (*WRITABLE, *field_values.names(), *joint_quantities.WRITABLE)
-
-
 def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: Any = None) -> None:
     """Change a quantity; see Simulator.set."""
-    if name not in writable():
+    if name not in SETTABLE:
         _refuse_dt(name)
-        known = suggestion(name, writable(), "help(Simulator.set)")
+        known = suggestion(name, SETTABLE, "help(Simulator.set)")
         raise ValueError(f"name: must be a quantity that can be set, got {shown(name)}{known}")
     check_owner(name, bodies, joints)
     chosen = env_indices(world.num_envs, envs)
     if name in joint_quantities.WRITABLE:
-        rows = joint_rows(world.layout, chosen, joints)
+        rows = rows_of(world.layout, chosen, joints, "joints")
         joint_quantities.write(world, name, value, rows)
         wake(world, chosen, joint_quantities.bodies_of(world, rows))
         return
@@ -158,15 +145,15 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
     if name in VECTOR_LENGTHS:
         check_vectors(name, value)
     if name == "gravity":
-        touched = body_rows(world.layout, chosen, None)
+        touched = rows_of(world.layout, chosen, None)
         rows = world.envs.gravity.numpy()
         rows[chosen] = _broadcast(name, value, (len(chosen), 3))
         world.envs.gravity.assign(rows)
-    elif name in field_values.names():
-        touched = body_rows(world.layout, chosen, None)
+    elif name in field_values.TAILS:
+        touched = rows_of(world.layout, chosen, None)
         _write_field(world, name, value, chosen)
     else:
-        touched = body_rows(world.layout, chosen, bodies)
+        touched = rows_of(world.layout, chosen, bodies)
         if bodies is not None:
             _refuse_of_chosen(world, name, value, touched)
         if name == "mass":
@@ -264,7 +251,7 @@ def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> N
     rows[chosen] = numbers
     getattr(world.envs, name).assign(rows)
     if name == "sleeping":
-        rows = body_rows(world.layout, chosen, None)
+        rows = rows_of(world.layout, chosen, None)
         wake(world, chosen, rows)
         _count_anew(world, rows)
     world.choose_step()
@@ -279,9 +266,9 @@ def _as_python(value: Any) -> Any:
 def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
     array = world.model.fields.parameters
     rows, needed = world.layout.table("fields")[chosen], field_values.having(world.layout, name)[chosen]
-    tail = field_values.read(world.layout, array.numpy(), name).shape[2:]
+    new = _broadcast(name, value, (*rows.shape, *field_values.TAILS[name]), needed)
     host = array.numpy()
-    field_values.write(world.layout, host, name, _broadcast(name, value, (*rows.shape, *tail), needed), rows)
+    field_values.write(world.layout, host, name, new, rows)
     array.assign(host)
 
 
@@ -380,7 +367,7 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs:
         whole_in("body", body, 0, layout.most_bodies - 1)
     if not len(chosen):
         return
-    rows = body_rows(layout, chosen, body, "body")[:, 0]
+    rows = rows_of(layout, chosen, body, name="body")[:, 0]
     push = _broadcast("impulse", impulse, (len(chosen), 3))
     at = _broadcast("point", point, (len(chosen), 3))
     for row in rows[world.model.bodies.motion.numpy()[rows] != Motion.DYNAMIC][:1].tolist():

@@ -29,39 +29,25 @@ def env_indices(num_envs: int, envs: Any) -> np.ndarray:
     return _whole_indices("envs", envs, num_envs)
 
 
-def body_rows(layout: Layout, chosen: np.ndarray, bodies: Any, name: str = "bodies") -> np.ndarray:
-    """Rows of bodies of the chosen environments, (chosen, bodies).
+def rows_of(layout: Layout, chosen: np.ndarray, given: Any, symbol: str = "bodies", name: str = "") -> np.ndarray:
+    """Rows of bodies or joints of the chosen environments, (chosen, n).
 
     Args:
         layout: the environments.
         chosen: indices of environments.
-        bodies: indices, names or a slice of bodies, which each of these environments must have; None for all bodies,
-            where a row is LACKING if an environment has no such body.
-        name: of the argument, for the error message.
+        given: indices, names or a slice, all of which each of these environments must have; None for all bodies or
+            joints, where a row is LACKING if an environment has fewer.
+        symbol: "bodies" or "joints".
+        name: of the argument for the error message, if it is not that symbol.
 
     Raises:
-        ValueError: a scene of the chosen environments has no such body.
+        ValueError: a scene of the chosen environments has no such body or joint.
     """
-    return _rows(layout, chosen, bodies, name, "bodies")
-
-
-def joint_rows(layout: Layout, chosen: np.ndarray, joints: Any) -> np.ndarray:
-    """Rows of joints of the chosen environments, (chosen, joints); as `body_rows`.
-
-    Raises:
-        ValueError: a scene of the chosen environments has no such joint.
-    """
-    return _rows(layout, chosen, joints, "joints", "joints")
-
-
-def _rows(layout: Layout, chosen: np.ndarray, given: Any, name: str, symbol: str) -> np.ndarray:
-    """Rows of what a symbol counts, from indices, names or a slice."""
     if given is None:
         return layout.table(symbol)[chosen]
-    scene_of = layout.scene_of[chosen]
-    scenes = np.unique(scene_of).tolist()
+    scenes = np.unique(layout.scene_of[chosen]).tolist()
     given = _without_slice(layout, scenes, given, symbol)
-    own = {scene: _indices_in_scene(layout, scene, given, name, symbol) for scene in scenes}
+    own = {scene: _indices_in_scene(layout, scene, given, name or symbol, symbol) for scene in scenes}
     return _rows_of_scenes(layout, chosen, own, symbol)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from warp_rigid.checks import shape_of, shown
 from warp_rigid.engine import forgetting, quantities
 from warp_rigid.engine.layout import LACKING
-from warp_rigid.engine.selection import body_rows, env_indices, existing
+from warp_rigid.engine.selection import env_indices, existing, rows_of
 from warp_rigid.engine.world import World
 from warp_rigid.scene.scene import Scene
 
@@ -37,7 +37,7 @@ def spawn(world: World, pool: str, poses: dict[str, Any], envs: Any) -> np.ndarr
 def despawn(world: World, bodies: Any, envs: Any) -> None:
     """Return bodies to their pools; see Simulator.despawn."""
     chosen = env_indices(world.num_envs, envs)
-    rows = body_rows(world.layout, chosen, bodies)
+    rows = rows_of(world.layout, chosen, bodies)
     quantities.assign_rows(world.state.active, 0, rows)
     quantities.wake(world, chosen, rows)
 

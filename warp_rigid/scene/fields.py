@@ -6,6 +6,7 @@ checkpoints, USD files and the list of exported names. `kernels/update/force_fie
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
+from itertools import accumulate
 from typing import Any, ClassVar
 
 import numpy as np
@@ -56,13 +57,16 @@ class ForceField(ABC):
         return {name: getattr(self, name) for name in self.parameters()}
 
     @classmethod
+    def columns(cls) -> dict[str, slice]:
+        """Return the columns of `row` with each parameter."""
+        ends = list(accumulate(3 if is_vector else 1 for is_vector in cls.parameters().values()))
+        return dict(zip(cls.parameters(), map(slice, [0, *ends], ends), strict=True))
+
+    @classmethod
     def from_row(cls, row: np.ndarray) -> "ForceField":
         """Return the field with the parameters of `row`."""
-        given, start = {}, 0
-        for name, is_vector in cls.parameters().items():
-            given[name] = tuple(row[start : start + 3].tolist()) if is_vector else float(row[start])
-            start += 3 if is_vector else 1
-        return cls(**given)
+        numbers = {name: row[own].tolist() for name, own in cls.columns().items()}
+        return cls(**{name: tuple(own) if len(own) == 3 else own[0] for name, own in numbers.items()})
 
     def row(self) -> np.ndarray:
         """Return the concatenated parameters, (n,) float32, as the device function reads them."""

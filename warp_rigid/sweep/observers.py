@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown, suggestion
-from warp_rigid.engine.quantities import is_readable, owner_of, readable
+from warp_rigid.engine.quantities import READABLE, owner_of
 from warp_rigid.engine.selection import names_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.user_code import check_columns, column_name
@@ -169,16 +169,16 @@ def _is_ready_made(name: str) -> bool:
         return count <= 2
     if quantity in ENERGIES:
         return count <= 1
-    return count == 1 and is_readable(quantity) and owner_of(quantity) in NAMED
+    return count == 1 and quantity in READABLE and owner_of(quantity) in NAMED
 
 
 def _suggestion(observer: Any) -> str:
     """The end of the message about an observer that is not one; "" if only its bodies or joints are wrong."""
     ready = (*WATCHED, *ENERGIES)
     quantity = _quantity(observer) if isinstance(observer, str) else observer
-    if isinstance(quantity, str) and quantity in (*ready, *readable()):
+    if isinstance(quantity, str) and quantity in (*ready, *READABLE):
         return ""
-    return suggestion(quantity, (*ready, *readable()), f"{', '.join(ready)} and those in help(Simulator.get)")
+    return suggestion(quantity, (*ready, *READABLE), f"{', '.join(ready)} and those in help(Simulator.get)")
 
 
 def _owner(name: str) -> str:
