@@ -121,6 +121,15 @@ class Shards:
         """Rows of all environments, concatenated from those of the shards."""
         return np.concatenate([read(shard) for shard in self._shards])
 
+    def of_graph(self, name: str) -> np.ndarray:
+        """An array of the contact graph of the last step."""
+        return self.gather(lambda shard: getattr(shard.pools.graph, name).numpy())
+
+    def first_bodies(self) -> np.ndarray:
+        """For each body the first one of its shard, (bodies,)."""
+        counts = [shard.end_body - shard.first_body for shard in self._shards]
+        return np.repeat([shard.first_body for shard in self._shards], counts)
+
     def sizes(self) -> dict[str, int]:
         """Capacity for pairs and contacts of all environments together."""
         return self.capacity or {name: sum(shard.pools.sizes[name] for shard in self._shards) for name in NAMES}

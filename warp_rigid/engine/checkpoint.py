@@ -166,21 +166,11 @@ def _whole(world: World) -> dict[str, wp.array]:
 def _stored(world: World) -> dict[str, np.ndarray]:
     """All arrays that a checkpoint holds, numbered as if all environments were one shard."""
     stored = {name: array.numpy() for name, array in _whole(world).items()}
-    island = world.sleep_state.island.numpy() + _first_bodies(world)
+    island = world.sleep_state.island.numpy() + world.shards.first_bodies()
     stored["SleepState.island"] = np.where(stored["SleepState.asleep"] == 1, island, 0).astype(np.int32)
     stored |= {f"History.{name}": rows for name, rows in _history(world).items()}
-    of_shards = [_of_graph(shard) for shard in world.shards]
-    return stored | {name: np.concatenate([some[name].numpy() for some in of_shards]) for name in of_shards[0]}
-
-
-def _of_graph(shard: Shard) -> dict[str, wp.array]:
-    """What a step leaves of the contact graph of a shard."""
-    return {f"Graph.{name}": array for name, _, array in declare.arrays_of(shard.pools.graph, Lifetime.REMEMBERED)}
-
-
-def _first_bodies(world: World) -> np.ndarray:
-    """For each body the first one of its shard, (envs * bodies,)."""
-    return world.shards.gather(lambda shard: np.full(shard.end_body - shard.first_body, shard.first_body, np.int32))
+    remembered = declare.arrays_of(next(iter(world.shards)).pools.graph, Lifetime.REMEMBERED)
+    return stored | {f"Graph.{name}": world.shards.of_graph(name) for name, _, _ in remembered}
 
 
 def _history(world: World) -> dict[str, np.ndarray]:
@@ -267,12 +257,11 @@ def _upload(world: World, rows: dict[str, np.ndarray]) -> None:
             fill(getattr(shard.pools.history, name), values)
         shard.pools.forget_graph()
         ranges = {"bodies": slice(shard.first_body, shard.end_body), "envs": slice(shard.first, shard.end)}
-        for name, array in _of_graph(shard).items():
-            field = declare.LAYOUTS["Graph"][name.removeprefix("Graph.")]
-            array.assign(rows[name][ranges[declare.counted_by(field)]])
+        for name, field, array in declare.arrays_of(shard.pools.graph, Lifetime.REMEMBERED):
+            array.assign(rows[f"Graph.{name}"][ranges[declare.counted_by(field)]])
     for name, array in _whole(world).items():
         array.assign(rows[name])
-    island = np.where(rows["SleepState.asleep"] == 1, rows["SleepState.island"] - _first_bodies(world), 0)
+    island = np.where(rows["SleepState.asleep"] == 1, rows["SleepState.island"] - world.shards.first_bodies(), 0)
     world.sleep_state.island.assign(island.astype(np.int32))
     for shard in world.shards:
         shard.note_masses()

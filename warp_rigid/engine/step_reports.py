@@ -1,7 +1,5 @@
 """What the last steps did: contacts, counts, solver statistics and the health of the environments."""
 
-from functools import partial
-
 import numpy as np
 
 from warp_rigid.engine import health_checks
@@ -118,24 +116,15 @@ def solver_stats(world: World) -> dict[str, np.ndarray]:
     """What the solver did in the last step; see Simulator.stats."""
     pairs, contacts = counts_of_environments(world)
     found = {"pairs": pairs, "contacts": contacts, **_island_counts(world)}
-    for name in COUNTED:
-        found[name] = world.shards.gather(partial(_graph_column, name=name))
-    for name in ("pairs", "contacts"):
-        used = world.shards.gather(partial(_capacity_used, name=name))
-        found[f"{name.removesuffix('s')}_capacity_used"] = used
-    return found
+    found |= {name: world.shards.of_graph(name) for name in COUNTED}
+    used = world.shards.gather(_capacity_used)
+    return found | {"pair_capacity_used": used[:, 0], "contact_capacity_used": used[:, 1]}
 
 
-def _graph_column(shard: Shard, name: str) -> np.ndarray:
-    """An array of the contact graph of a shard."""
-    return getattr(shard.pools.graph, name).numpy()
-
-
-def _capacity_used(shard: Shard, name: str) -> np.ndarray:
-    """Fraction of a shard's pool that all its environments used in the last step, for each of them."""
-    history = shard.pools.history
-    start = history.pair_start if name == "pairs" else history.contact_start
-    return np.full(shard.num_envs, int(start.numpy()[-1]) / shard.pools.sizes[name])
+def _capacity_used(shard: Shard) -> np.ndarray:
+    """Fractions of a shard's pools that all its environments used in the last step, for each of them, (envs, 2)."""
+    used = shard.pools.used()
+    return np.tile([used[name] / shard.pools.sizes[name] for name in ("pairs", "contacts")], (shard.num_envs, 1))
 
 
 def _island_counts(world: World) -> dict[str, np.ndarray]:
@@ -143,25 +132,17 @@ def _island_counts(world: World) -> dict[str, np.ndarray]:
     env = world.layout.env_of_row
     present = (world.model.bodies.motion.numpy() == Motion.DYNAMIC) & (world.state.active.numpy() == 1)
     asleep = world.sleep_state.asleep.numpy() == 1
-    awake = world.shards.gather(lambda shard: shard.pools.graph.island.numpy() + shard.first_body)
-    slept = world.sleep_state.island.numpy() + world.shards.gather(
-        lambda shard: np.full(shard.end_body - shard.first_body, shard.first_body)
-    )
-    converged = world.shards.gather(lambda shard: shard.pools.graph.converged.numpy())[env] == 1
-    solver = world.shards.gather(lambda shard: shard.pools.graph.solver.numpy())
+    awake, slept = world.shards.of_graph("island"), world.sleep_state.island.numpy()
+    island = np.where(asleep, slept, awake) + world.shards.first_bodies()
+    converged, solver = world.shards.of_graph("converged")[env] == 1, world.shards.of_graph("solver")
     solver = np.where((solver == IslandSolver.SHOCK) & converged, IslandSolver.SWEEPS, solver)
-    first = present & (np.where(asleep, slept, awake) == np.arange(len(env)))
+    first = present & (island == np.arange(len(env)))
     by_solver = {f"islands_{one.name.lower()}": first & ~asleep & (solver == one) for one in IslandSolver}
     counted = {"islands": first, **by_solver, "islands_asleep": first & asleep}
     counts = {name: np.bincount(env[those], minlength=world.num_envs) for name, those in counted.items()}
-    return counts | {"accepted_share": _accepted_share(world)}
-
-
-def _accepted_share(world: World) -> np.ndarray:
-    """Smallest share of shock propagation that the line search accepted in any island of an environment, (envs,)."""
     least = np.ones(world.num_envs)
-    np.minimum.at(least, world.layout.env_of_row, world.shards.gather(lambda shard: shard.pools.graph.accepted.numpy()))
-    return least
+    np.minimum.at(least, env, world.shards.of_graph("accepted"))
+    return counts | {"accepted_share": least}
 
 
 def _counts_of_shard(shard: Shard) -> np.ndarray:
