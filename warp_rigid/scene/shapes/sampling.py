@@ -12,6 +12,8 @@ from warp_rigid.scene.shapes import topology
 CLUSTER_LIMIT = 32
 FEATURE_DEGREES = 30.0
 COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank", "edges", "dip")
+WHOLE = ("kind", "choice", "edges")
+"""Columns of whole numbers."""
 WIDTHS = {"point": (3,), "normal": (3,), "slide": (3,), "edges": (2,)}
 FLAT_DEGREES = 0.5
 """Edges that bend by less are flat."""
@@ -107,56 +109,30 @@ class SampleList:
         return {name: np.concatenate(column) for name, column in self._columns.items()}
 
     def cluster(self) -> Samples:
-        """All samples, grouped."""
-        return cluster_samples(**self.columns(), unsampled_edges=self.unsampled_edges)
-
-
-def cluster_samples(point, normal, slide, radius, kind, choice, rank, edges, dip, unsampled_edges) -> Samples:
-    """Group samples into tight clusters of at most 32, apart: points with rims, edges, faces, arcs, further places.
-
-    Args:
-        point: (n, 3) as in `Samples`.
-        normal: (n, 3) as in `Samples`.
-        slide: (n, 3) as in `Samples`.
-        radius: (n,) as in `Samples`.
-        kind: (n,) as in `Samples`.
-        choice: (n,) as in `Samples`.
-        rank: (n,) order inside a cluster; samples of equal rank keep their order.
-        edges: (n, 2) as in `Samples`.
-        dip: (n,) the largest for the unsampled edges of each sample [m].
-        unsampled_edges: (m, 3) as in `Samples`.
-    """
-    points = np.isin(kind, (SampleKind.POINT, SampleKind.RIM, SampleKind.CAP))
-    groups = []
-    for family in (
-        points & (choice <= 1),
-        kind == SampleKind.EDGE,
-        kind == SampleKind.FACE,
-        kind == SampleKind.ARC,
-        choice > 1,
-    ):
-        members = np.flatnonzero(family)
-        if len(members):
-            groups += [members[group] for group in _bisect(point[members])]
-    groups = [group[np.lexsort((group, rank[group]))] for group in groups]
-    order = np.concatenate(groups) if groups else np.zeros(0, dtype=np.int64)
-    start = np.concatenate([[0], np.cumsum([len(group) for group in groups])])
-    point, slide, radius = point[order], slide[order], radius[order].astype(np.float64)
-    center, reach = _bounding_spheres(point, slide, radius, start)
-    return Samples(
-        point=_frozen(point, np.float32),
-        normal=_frozen(normal[order], np.float32),
-        slide=_frozen(slide, np.float32),
-        radius=_frozen(radius, np.float32),
-        kind=_frozen(kind[order], np.int32),
-        choice=_frozen(choice[order], np.int32),
-        edges=_frozen(edges[order], np.int32),
-        unsampled_edges=_frozen(unsampled_edges, np.float32),
-        dip=float(dip[dip > 0.0].mean()) if dip.any() else 0.0,
-        cluster_start=_frozen(start, np.int32),
-        cluster_center=_frozen(center, np.float32),
-        cluster_radius=_frozen(reach, np.float32),
-    )
+        """All samples, in tight clusters of at most 32, apart: points with rims, edges, faces, arcs, further places."""
+        given = self.columns()
+        kind, choice, dip = given["kind"], given["choice"], given["dip"]
+        points = np.isin(kind, (SampleKind.POINT, SampleKind.RIM, SampleKind.CAP))
+        families = [points & (choice <= 1)]
+        families += [kind == one for one in (SampleKind.EDGE, SampleKind.FACE, SampleKind.ARC)]
+        groups = []
+        for members in map(np.flatnonzero, (*families, choice > 1)):
+            if len(members):
+                groups += [members[group] for group in _bisect(given["point"][members])]
+        groups = [group[np.lexsort((group, given["rank"][group]))] for group in groups]
+        order = np.concatenate(groups) if groups else np.zeros(0, dtype=np.int64)
+        start = np.concatenate([[0], np.cumsum([len(group) for group in groups])])
+        columns = {name: column[order] for name, column in given.items() if name not in ("rank", "dip")}
+        columns["radius"] = columns["radius"].astype(np.float64)
+        center, reach = _bounding_spheres(columns["point"], columns["slide"], columns["radius"], start)
+        return Samples(
+            **{name: _frozen(own, np.int32 if name in WHOLE else np.float32) for name, own in columns.items()},
+            unsampled_edges=_frozen(self.unsampled_edges, np.float32),
+            dip=float(dip[dip > 0.0].mean()) if dip.any() else 0.0,
+            cluster_start=_frozen(start, np.int32),
+            cluster_center=_frozen(center, np.float32),
+            cluster_radius=_frozen(reach, np.float32),
+        )
 
 
 def _frozen(values, dtype) -> np.ndarray:
