@@ -105,20 +105,17 @@ def exclusive() -> Iterator[None]:
         yield
 
 
-def device_work(device: Any) -> Any:
-    """Context for work on a device, during which no other thread records."""
-    return _gate.exclusive() if device.is_cuda else _gate.shared()
-
-
 @contextmanager
 def on_stream(device: Any, stream: Any) -> Iterator[None]:
     """Context for work on a device in which a stream is the current one, in order with the stream that was before.
+
+    No other thread records during it.
 
     Args:
         device: the Warp device.
         stream: a stream of the device; None for the CPU.
     """
-    with device_work(device):
+    with _gate.exclusive() if device.is_cuda else _gate.shared():
         if stream is None or wp.get_stream(device) is stream:
             yield
         else:

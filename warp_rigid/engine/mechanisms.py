@@ -5,10 +5,14 @@ and Liu 1989): the next one is coupled to the fewest others that remain, which a
 trees this creates no additional blocks besides those of bodies with several joints.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import combinations, pairwise, permutations
 from typing import NamedTuple
+
+import numpy as np
+
+from warp_rigid.scene.shapes.topology import components
 
 
 class Mechanisms(NamedTuple):
@@ -56,8 +60,10 @@ def find_mechanisms(ends: tuple[tuple[int, int | None], ...], dynamic: tuple[boo
     for first, second in shared:
         links[first].add(second)
     found = Mechanisms([], [0], [0], [], [], [0], [], [])
-    for group in _connected(links):
-        _eliminate({joint: set(links[joint]) for joint in group}, shared, found)
+    label = components(np.array([*shared], np.int64).reshape(-1, 2), len(ends))
+    for smallest in np.unique(label):
+        group = np.flatnonzero(label == smallest).tolist()
+        _eliminate({joint: links[joint] for joint in group}, shared, found)
         found.first_place.append(len(found.sequence))
         found.members.append(sorted({body for joint in group for body in ends[joint] if body is not None}))
     return found
@@ -77,20 +83,6 @@ def _shared_bodies(
         for first, second in permutations(joints, 2):
             shared[first, second] = (*shared.get((first, second), ()), body)
     return shared
-
-
-def _connected(links: Links) -> Iterator[list[int]]:
-    """Groups of joints that are connected, each sorted."""
-    seen: set[int] = set()
-    for start in links:
-        if start not in seen:
-            group, pending = {start}, [start]
-            while pending:
-                new = links[pending.pop()] - group
-                group |= new
-                pending += new
-            seen |= group
-            yield sorted(group)
 
 
 def _eliminate(links: Links, shared: dict[tuple[int, int], tuple[int, ...]], found: Mechanisms) -> None:

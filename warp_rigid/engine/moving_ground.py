@@ -7,8 +7,6 @@ import numpy as np
 from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.shapes.heightfield import Heightfield
 
-FIELDS = ("sample", "around", "per_x", "per_y", "height", "amplitude", "phase", "frequency")
-
 
 def build_surfaces(moving: list, sample_start: np.ndarray, device: Any) -> Any:
     """The vertices of all moving fields, in the order of their nodes in the pool of grids.
@@ -21,21 +19,15 @@ def build_surfaces(moving: list, sample_start: np.ndarray, device: Any) -> Any:
     Returns:
         The Surfaces.
     """
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in FIELDS}
-    envs: list[np.ndarray] = []
-    for index, entry in moving:
-        for name, values in _vertices(entry.shape, int(sample_start[index])).items():
-            columns[name].append(values)
-        envs.append(np.full(entry.shape.heights.size, entry.env, np.int32))
-    surfaces = declare.allocate(schema.Surfaces, {"vertices": sum(map(len, envs))}, device)
-    if moving:
-        surfaces.env.assign(np.concatenate(envs))
-        for name, parts in columns.items():
-            getattr(surfaces, name).assign(np.concatenate(parts))
+    copies = [_vertices(entry.shape, entry.env, int(sample_start[index])) for index, entry in moving]
+    count = sum(len(copy["env"]) for copy in copies)
+    surfaces = declare.allocate(schema.Surfaces, {"vertices": count}, device)
+    for name in copies[0] if copies else ():
+        getattr(surfaces, name).assign(np.concatenate([copy[name] for copy in copies]))
     return surfaces
 
 
-def _vertices(field: Heightfield, first_sample: int) -> dict[str, np.ndarray]:
+def _vertices(field: Heightfield, env: int, first_sample: int) -> dict[str, np.ndarray]:
     """Columns of one copy of a field."""
     rows, columns = field.heights.shape
     i, j = np.indices((rows, columns))
@@ -44,6 +36,7 @@ def _vertices(field: Heightfield, first_sample: int) -> dict[str, np.ndarray]:
     along_x, along_y = ((left - i) * columns, (right - i) * columns), (back - j, front - j)
     cell = field.extent / (np.array(field.heights.shape) - 1)
     return {
+        "env": np.full(rows * columns, env, np.int32),
         "sample": first_sample + _sample_of_vertex(field),
         "around": np.stack([*along_x, *along_y], axis=-1).reshape(-1, 4).astype(np.int32),
         "per_x": (1.0 / ((right - left) * cell[0])).reshape(-1).astype(np.float32),

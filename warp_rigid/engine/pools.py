@@ -152,7 +152,9 @@ class Pools:
         """Larger pools with the same history."""
         pools = Pools.allocate(self.layout, sizes, self.wanted.device)
         pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
-        copy_arrays(self.history, pools.history, schema.History)
+        for name in declare.field_names(schema.History):
+            array = getattr(self.history, name)
+            wp.copy(getattr(pools.history, name), array, count=array.size)
         for name, _, array in declare.arrays_of(self.graph, Lifetime.REMEMBERED):
             wp.copy(getattr(pools.graph, name), array)
         return pools
@@ -192,10 +194,3 @@ def fill(array: wp.array, rows: np.ndarray) -> None:
     if 0 < len(rows) < len(host):
         host[len(rows) :] = rows[-1]
     array.assign(host)
-
-
-def copy_arrays(source: Any, target: Any, struct: Any) -> None:
-    """Copy all arrays of a struct to the start of the arrays of another one."""
-    for name in declare.field_names(struct):
-        array = getattr(source, name)
-        wp.copy(getattr(target, name), array, count=array.size)

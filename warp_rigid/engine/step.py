@@ -91,7 +91,7 @@ class Stages:
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
         self.crowded = layout.most_bodies > crowd.CROWDED
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies, layout.has_joints)
-        self.search = teams.search_teams(layout.has_many_samples, self.crowded)
+        self.listing_lanes, self.choosing_lanes = teams.search_lanes(layout.has_many_samples, self.crowded)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.moving = [self.dt, model.shapes, model.bodies, self.state, self.motions]
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if self.sleeping else None
@@ -456,14 +456,14 @@ class Stages:
         pairs.candidate_count.zero_()
         if self.sleeping:  # there is a second round, whose samples follow those of the first
             wp.copy(near.begin, near.count)
-        size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.search.listing
+        size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.listing_lanes
         with self.parts.shared():
             self.share(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs, near], before=[woken])
             self.share(narrowphase.list_near_samples, size, searched, [pairs, near], lanes=listing)
             inputs, outputs = [*self.moving, pairs, pools.wanted_row], [near, pools.wanted]
             self.share(touches.touch_near_samples, samples, inputs, outputs, before=[NEAR_SAMPLES])
             chosen = pair_contacts.choose_contacts
-            self.share(chosen, size, [*searched, near, pools.history], [pairs], lanes=self.search.choosing)
+            self.share(chosen, size, [*searched, near, pools.history], [pairs], lanes=self.choosing_lanes)
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""

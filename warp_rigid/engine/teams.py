@@ -1,6 +1,5 @@
 """Team sizes: the number of device lanes that process one environment, or one pair of bodies."""
 
-from dataclasses import dataclass
 from typing import Any
 
 from warp_rigid.kernels.common import team
@@ -60,21 +59,8 @@ def most_lanes(device: Any) -> int:
     return device.sm_count * RESIDENT_LANES
 
 
-@dataclass(frozen=True)
-class SearchTeams:
-    """Teams of the narrow phase and of continuous collision detection.
-
-    Attributes:
-        listing: lanes that list the near samples of a pair.
-        choosing: lanes that choose the contacts of a pair.
-    """
-
-    listing: int
-    choosing: int
-
-
-def search_teams(many_samples: bool, crowded: bool) -> SearchTeams:
-    """The teams for shapes of few or of many samples.
+def search_lanes(many_samples: bool, crowded: bool) -> tuple[int, int]:
+    """Lanes that list the near samples of a pair, and lanes that choose its contacts.
 
     Of the samples of a box, five are near another box, and two or three touch it, so a few lanes are enough. The pairs
     of a batch occupy all lanes of a GPU. Those of a single large environment do not, and its slowest pair decides.
@@ -84,5 +70,5 @@ def search_teams(many_samples: bool, crowded: bool) -> SearchTeams:
         crowded: whether an environment has many bodies.
     """
     if many_samples:
-        return SearchTeams(listing=WARP, choosing=8)
-    return SearchTeams(listing=4, choosing=4 if crowded else 1)
+        return WARP, 8
+    return 4, 4 if crowded else 1

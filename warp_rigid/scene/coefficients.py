@@ -15,7 +15,7 @@ from typing import Any, TypedDict, TypeVar
 
 import numpy as np
 
-from warp_rigid.checks import number_in
+from warp_rigid.checks import number_in, refuse_others
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
@@ -58,10 +58,11 @@ class Coefficient:
         Raises:
             ValueError: A value is outside the range.
         """
-        if (values < self.lower).any() or (values > self.upper).any():
-            allowed = f">= {self.lower:g}" if math.isinf(self.upper) else f"from {self.lower:g} to {self.upper:g}"
-            outside = values[(values < self.lower) | (values > self.upper)].flat[0]
-            raise ValueError(f"{self.name}: must be {allowed}, got {outside:g}")
+        refuse_others(self.name, values, ~((values < self.lower) | (values > self.upper)), self._range)
+
+    @property
+    def _range(self) -> str:
+        return f">= {self.lower:g}" if math.isinf(self.upper) else f"from {self.lower:g} to {self.upper:g}"
 
     @property
     def usd_attributes(self) -> tuple[str, ...]:
@@ -77,8 +78,7 @@ class Coefficient:
 
     def __str__(self) -> str:
         """Description, range and unit in one line."""
-        upper = f">= {self.lower:g}" if math.isinf(self.upper) else f"from {self.lower:g} to {self.upper:g}"
-        return f"{self.description}, {upper}" + (f" [{self.unit}]" if self.unit else "")
+        return f"{self.description}, {self._range}" + (f" [{self.unit}]" if self.unit else "")
 
 
 def _declare(default: float, **declaration: Any) -> Any:

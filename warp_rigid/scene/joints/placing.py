@@ -1,13 +1,12 @@
 """Placing a joint between two bodies of a scene, with all checks."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion, whole_in
+from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
 from warp_rigid.kernels.enums import Coordinate, Motion
 from warp_rigid.scene.joints.joint import JOINTS, Joint, JointEntry, JointFrame, largest
 
@@ -87,12 +86,8 @@ def _checked_frame(name: str, frame: JointFrame) -> JointFrame:
 
 
 def _check_bodies(bodies: Sequence[Any], joint: Joint, body_a: int, body_b: int | None) -> None:
-    last = len(bodies) - 1
     if not isinstance(joint, Joint):
         raise ValueError(f"joint: must be a {', '.join(sorted(JOINTS))}, got {shown(joint)}")
-    whole_in("body_a", body_a, 0, last)
-    if body_b is not None:
-        whole_in("body_b", body_b, 0, last)
     if body_a == body_b:
         raise ValueError(f"body_b: must be another body than body_a, got {body_b} for both")
     both = [bodies[body].motion for body in (body_a, body_b) if body is not None]
@@ -125,8 +120,8 @@ def _check_anchors(joint: Joint, a: Any, b: Any, frame_a: JointFrame, frame_b: J
 def _checked_rest(joint: Joint, more: dict[str, Any]) -> dict[str, Any]:
     """Check the remaining attributes of an entry."""
     for name in ("break_force", "break_torque"):
-        more[name] = largest(name, more.get(name, math.inf))
-    more["armature"] = number_in("armature", more.get("armature", 0.0), 0.0)
+        more[name] = largest(name, more[name])
+    more["armature"] = number_in("armature", more["armature"], 0.0)
     if more["armature"] > 0.0 and joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
         raise ValueError(f"armature: needs a RevoluteJoint or a PrismaticJoint, got a {type(joint).__name__}")
     if not isinstance(more["collide"], bool):

@@ -13,10 +13,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import warp as wp
 
 from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.files import archive
 from warp_rigid.files.atomic import atomic_file
+from warp_rigid.kernels.collide import bake as kernels
 from warp_rigid.scene.shapes import topology
 from warp_rigid.scene.shapes.base import Grid, content_hash, frozen_array
 from warp_rigid.threads import exclusive
@@ -74,10 +76,6 @@ def bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -
     Returns:
         (nx, ny, nz) float32 [m].
     """
-    import warp as wp
-
-    from warp_rigid.kernels.collide import bake as kernels
-
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     tables, held = _mesh_tables(vertices - center, faces, simple, device)
     values = wp.zeros(shape, dtype=float, device=device)
@@ -132,10 +130,6 @@ def mesh_distance(vertices, faces, points, simple: bool, device=None):
     Returns:
         Distance (k,) [m], and unit direction (k, 3), zero on the surface.
     """
-    import warp as wp
-
-    from warp_rigid.kernels.collide import bake as kernels
-
     device = device or _device()
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     tables, held = _mesh_tables(vertices - center, faces, simple, device)
@@ -186,17 +180,11 @@ def _write(file: Path, values: np.ndarray) -> None:
 
 def _device():
     """The first CUDA device, or the CPU."""
-    import warp as wp
-
     return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
 
 
 def _mesh_tables(vertices, faces, simple: bool, device):
     """Mesh and pseudonormals on the device: the kernels' struct, and what must be kept alive."""
-    import warp as wp
-
-    from warp_rigid.kernels.collide.bake import MeshTables
-
     edges = topology.find_edges(faces)
     normals, _ = topology.face_normals(vertices, faces)
     side_normal = topology.edge_normals(edges, normals)[edges.face_edge]
@@ -210,7 +198,7 @@ def _mesh_tables(vertices, faces, simple: bool, device):
         indices=upload(faces.ravel(), int),
         support_winding_number=not simple,
     )
-    tables = MeshTables()
+    tables = kernels.MeshTables()
     tables.mesh = mesh.id
     tables.faces = upload(faces, int)
     tables.face_normal = upload(normals, wp.vec3)
@@ -225,8 +213,6 @@ def _launch_slabs(kernel, count: int, inputs, outputs, device) -> None:
 
     A CPU launch runs on one thread but releases the interpreter's lock, so slabs run side by side.
     """
-    import warp as wp
-
     cores = usable_cores()
     slabs = 1 if device.is_cuda else min(count, 8 * cores)
     cuts = np.linspace(0, count, slabs + 1).astype(int)

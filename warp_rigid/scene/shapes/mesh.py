@@ -182,39 +182,6 @@ class Mesh(Shape):
         if extent >= LARGE:
             warnings.warn(f"{where}the mesh is {extent:.3g} m long; if it is in mm, use {remedy}", stacklevel=3)
 
-    @classmethod
-    def restored(
-        cls,
-        vertices: np.ndarray,
-        faces: np.ndarray,
-        sdf_resolution: int,
-        repairs: list[str],
-        distances: np.ndarray,
-        uv: np.ndarray | None = None,
-    ) -> Self:
-        """A saved mesh, bit for bit: without repairs, warnings or a new distance grid.
-
-        Args:
-            vertices: (n, 3) [m].
-            faces: (m, 3).
-            sdf_resolution: as in `Mesh`.
-            repairs: descriptions of the repairs made when the mesh was first built.
-            distances: (nx, ny, nz) float32, the values of its `grid` [m].
-            uv: (m, 3, 2) texture coordinates of the corners.
-
-        Raises:
-            ValueError: The arrays do not match each other.
-        """
-        mesh = cls.__new__(cls)
-        vertices, faces = checked(vertices, faces)
-        uv = None if uv is None else checked_uv(uv, vertices, faces)
-        mesh._setup(Surface(vertices, faces.astype(np.int32), [str(text) for text in repairs], uv), sdf_resolution)
-        origin, spacing, shape = distance_grid.grid_layout(mesh._solid_vertices, mesh.sdf_resolution)
-        if distances.shape != shape or not np.isfinite(distances).all():
-            raise ValueError(f"distances: must be finite numbers shaped {shape}, got shape {distances.shape}")
-        mesh.__dict__["grid"] = Grid(tuple(origin.tolist()), spacing, frozen_array(distances, np.float32))
-        return mesh
-
     @property
     def grid_nodes(self) -> int:
         """From the bounds and the resolution."""
@@ -236,11 +203,19 @@ class Mesh(Shape):
 
     @classmethod
     def from_data(cls, data: dict[str, Any], array: ReadArray, earlier: list[Shape]) -> Self:
-        """The mesh as it was; its grid is not computed again."""
-        vertices, faces = array("vertices", np.float64, (None, 3)), array("faces", np.int32, (None, 3))
-        distances = array("distances", np.float32, (None, None, None))
+        """The mesh as it was, bit for bit: without repairs, warnings or a new distance grid."""
+        mesh = cls.__new__(cls)
+        vertices, faces = checked(array("vertices", np.float64, (None, 3)), array("faces", np.int32, (None, 3)))
         uv = array("uv", np.float32, (None, 3, 2)) if data.get("uv") else None  # older files have none
-        return cls.restored(vertices, faces, data["sdf_resolution"], data["repairs"], distances, uv)
+        uv = None if uv is None else checked_uv(uv, vertices, faces)
+        repairs = [str(text) for text in data["repairs"]]
+        mesh._setup(Surface(vertices, faces.astype(np.int32), repairs, uv), data["sdf_resolution"])
+        origin, spacing, shape = distance_grid.grid_layout(mesh._solid_vertices, mesh.sdf_resolution)
+        distances = array("distances", np.float32, shape)
+        if not np.isfinite(distances).all():
+            raise ValueError("distances: must be finite numbers")
+        mesh.__dict__["grid"] = Grid(tuple(origin.tolist()), spacing, frozen_array(distances, np.float32))
+        return mesh
 
     def _content(self):
         return [self.vertices, self.faces, self.sdf_resolution, *([] if self.uv is None else [self.uv])]
