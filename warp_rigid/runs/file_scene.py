@@ -154,13 +154,7 @@ def _with_parameters(path: Path, function: Callable, *arguments: str) -> Callabl
 
 def _checked(function: Callable) -> Callable:
     """A function of the file with errors as one line."""
-
-    @wraps(function)
-    def checked(*arguments: Any, **named: Any) -> Any:
-        with errors_of(function):
-            return function(*arguments, **named)
-
-    return checked
+    return errors_of(function)(function)
 
 
 def _checked_verdicts(method: Callable) -> Callable:

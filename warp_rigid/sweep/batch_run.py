@@ -37,7 +37,7 @@ class Batch:
     Attributes:
         rows: one row per run.
         trajectories: for each group of runs the arguments of Trajectories.add; empty if they are not recorded.
-        series: the arguments of Series.add; empty if there are no series.
+        series: the arguments of Series.add; empty if no series are kept.
         seconds: wall-clock time by phase, see Stopwatch.
         units: units of the outcomes by the names of their columns.
     """
@@ -204,13 +204,13 @@ def _run(job: Job, prepared: Prepared, start: float, on_done: Callable[[float], 
     seconds = (time.perf_counter() - start) / len(prepared.runs)
     watch.add({"measure": time.perf_counter() - measuring - watch.seconds["record"] - watch.seconds["step"]})
     kept = _trajectories(prepared, rows, frames) if job.trajectories else []
-    series = [(prepared.runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
+    series = [(prepared.runs, {name: np.stack(values, 1) for name, values in looks.items()})] if job.series else []
     return Batch([row | {"wall_time": seconds} for row in rows], kept, series, watch.seconds, outcomes.units)
 
 
 def _append_look(sim: Simulator, observers: Observers, looks: dict[str, list]) -> None:
     """Append the values of a sample to the series; NaN of an observer that failed."""
-    looks["time"].append(sim.time)
+    looks["time"].append(np.full(sim.num_envs, sim.time))
     for name, values in looks.items():
         if name != "time":
             like = values[-1] if values else np.empty(sim.num_envs)

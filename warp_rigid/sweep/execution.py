@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
 from warp_rigid.sweep.metrics import check_metrics
 from warp_rigid.sweep.observers import check_observers
-from warp_rigid.sweep.series import Series, ZarrSeries
+from warp_rigid.sweep.series import Series, Trajectories, ZarrSeries
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.sweep.worker_processes import MAX_WORKERS, WorkerProcesses
@@ -166,23 +167,19 @@ def sweep(
         with watch.of("plan"):
             groups = group_runs(job, missing)
         if trajectories is not None:
-            from warp_rigid.sweep.trajectories import Trajectories
-
             book.trajectories = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
         if job.series:
             book.series = (
                 Series(output, resume) if series_output is None else ZarrSeries(series_output, about, resume, overwrite)
             )
         with progress_bar.progress(job.demo.name, len(runs), progress) as advance:
-            _run_all(job, groups, batch, runner, book, watch, len(runs), on_progress, advance)
+            batches = partial(_results, job, groups, batch, runner, watch)
+            _run_all(batches, book, watch, len(runs), on_progress, advance)
     return book.result()
 
 
 def _run_all(
-    job: Job,
-    groups: list[list[SizedRun]],
-    batch: int | str,
-    runner: Any,
+    batches: Callable[[Callable[[float], object]], Iterator[tuple[list[Run], Batch]]],
     book: ResultFile,
     watch: Stopwatch,
     total: int,
@@ -212,7 +209,7 @@ def _run_all(
 
     try:
         with ThreadPoolExecutor(1) as writer:
-            for runs, result in _results(job, groups, batch, runner, watch, on_done):
+            for runs, result in batches(on_done):
                 done += len(runs)
                 on_done(0.0)
                 watch.add(result.seconds)

@@ -1,4 +1,7 @@
-"""Time series of a sweep: in memory, in a folder to which each batch adds a Parquet file, or in a zarr folder."""
+"""Time series of a sweep, in memory, in a folder to which each batch adds a Parquet file, or in a zarr folder.
+
+The trajectories of its runs are in a zarr folder, too.
+"""
 
 import hashlib
 import shutil
@@ -80,7 +83,7 @@ class Series:
 
         Args:
             runs: the runs of the batch.
-            looks: "time" (looks,) [s] and for each name (looks, runs, ...) values.
+            looks: "time" (runs, samples) [s] and for each name (runs, samples, ...) values.
         """
         table = _table(runs, looks)
         if self.folder is None:
@@ -128,9 +131,7 @@ class ZarrSeries:
     def add(self, runs: Sequence[Run], looks: dict[str, np.ndarray]) -> None:
         """See Series.add."""
         rows = np.array([run.index for run in runs])
-        time = np.tile(looks["time"], (len(runs), 1))
-        values = {name: np.swapaxes(looks[name], 0, 1) for name in looks if name != "time"}
-        for name, of_runs in {"time": time, **values}.items():
+        for name, of_runs in looks.items():
             names = ["run", "sample", "component"][: of_runs.ndim]
             array = array_of_runs(self._root, name, (self._runs, *of_runs.shape[1:]), RUNS_PER_CHUNK, np.float64, names)
             array.set_orthogonal_selection((rows, slice(0, of_runs.shape[1])), of_runs.astype(np.float64))
@@ -138,6 +139,47 @@ class ZarrSeries:
     def table(self) -> Any:
         """All series as a pyarrow.Table; see read_series."""
         return read_series(self.folder)
+
+
+class Trajectories:
+    """Folder of the trajectories of a sweep, written while it runs.
+
+    Runs with the same structure and time step share a group, named by the column `trajectory` of a row. It holds `time`
+    (frames,) [s], `position` (runs, frames, bodies, 3) [m] and `orientation` (runs, frames, bodies, 4), indexed by the
+    column `run`. Each chunk holds one run, so that runs can be read separately and missing runs use no disk space.
+
+    Args:
+        path: the folder; must end in .zarr.
+        runs: number of runs of the whole design.
+        about: metadata of the sweep.
+        resume: add to an existing folder.
+        overwrite: replace an existing folder.
+
+    Raises:
+        ValueError: The path has another suffix, or exists and is neither resumed nor overwritten.
+    """
+
+    def __init__(self, path: Any, runs: int, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
+        """Open or create the folder."""
+        self.path, self.runs = Path(path), runs
+        self.root = open_zarr("trajectories", self.path, resume, overwrite)
+        self.root.attrs["warp_rigid"] = {name: about[name] for name in ("scene", "duration", "fps", "version")}
+
+    def add(self, runs: list[Run], frames: dict[str, Any]) -> None:
+        """Store the trajectories of a batch.
+
+        Args:
+            runs: the runs of the batch.
+            frames: "group", "time", "position" and "orientation" (runs, frames, bodies, ...).
+        """
+        group = self.root.require_group(frames["group"])
+        if "time" not in group:
+            group.create_array("time", data=frames["time"], dimension_names=["frame"])
+        for name, last in (("position", "xyz"), ("orientation", "xyzw")):
+            values = frames[name]
+            shape, dimensions = (self.runs, *values.shape[1:]), ["run", "frame", "body", last]
+            array = array_of_runs(group, name, shape, 1, values.dtype, dimensions)
+            array.set_orthogonal_selection((np.array([run.index for run in runs]),), values)
 
 
 def read_series(folder: Any) -> Any:
@@ -183,15 +225,10 @@ def _table(runs: Sequence[Run], looks: dict[str, np.ndarray]) -> Any:
     """One row for each run and sample, run by run."""
     import pyarrow
 
-    count = len(looks["time"])
-    columns: dict[str, Any] = {
-        "run": np.repeat(np.array([run.index for run in runs], np.int64), count),
-        "time": np.tile(looks["time"], len(runs)),
-    }
+    rows = np.repeat(np.array([run.index for run in runs], np.int64), looks["time"].shape[1])
+    columns: dict[str, Any] = {"run": rows}
     for name, values in looks.items():
-        if name != "time":
-            by_run = np.swapaxes(values, 0, 1).reshape(len(runs) * count, -1)
-            columns[name] = by_run[:, 0] if values.ndim == 2 else list(by_run)
+        columns[name] = values.ravel() if values.ndim == 2 else list(values.reshape(len(rows), -1))
     return pyarrow.table(columns)
 
 
