@@ -100,10 +100,8 @@ def _entries(layout: Layout) -> tuple[list[Entry], np.ndarray]:
     entries: list[Entry] = []
     index: dict[tuple[str, float], int] = {}
     of_body: list[np.ndarray] = []
-    moving: list[list[tuple[int, Shape]]] = []
-    first = 0
-    for scene in layout.scenes:
-        reach = _exact_reach(scene)
+    reaches = [_exact_reach(scene) for scene in layout.scenes]
+    for scene, reach in zip(layout.scenes, reaches, strict=True):
         shapes, shape_of = shapes_of(scene.bodies)
         places = np.full(len(shapes), -1, np.int32)
         for number, shape in enumerate(shapes):
@@ -113,26 +111,15 @@ def _entries(layout: Layout) -> tuple[list[Entry], np.ndarray]:
                 entries.append(Entry(shape, key[1]))
             places[number] = index.get(key, -1)
         of_body.append(places[shape_of])
-        copied = np.flatnonzero(of_body[-1] < 0).tolist()
-        moving.append([(first + body, scene.bodies[body].shape) for body in copied])
-        first += len(scene.bodies)
     rows = np.concatenate(of_body)[layout.source]
-    if any(moving):
-        _copy_moving(layout, moving, entries, rows)
+    copies: dict[tuple[int, str], int] = {}
+    for row in np.flatnonzero(rows < 0).tolist():
+        env, shape = int(layout.env_of_row[row]), layout.scene_bodies[layout.source[row]].shape
+        if (env, shape.key) not in copies:
+            copies[env, shape.key] = len(entries)
+            entries.append(Entry(shape, reaches[layout.scene_of[env]], env))
+        rows[row] = copies[env, shape.key]
     return entries, rows
-
-
-def _copy_moving(layout: Layout, moving: list[list[tuple[int, Shape]]], entries: list[Entry], rows: np.ndarray) -> None:
-    """Add a copy of each moving shape for each environment, and write its index to the rows of its bodies."""
-    first_of_scene = exclusive_sums(np.array([len(scene.bodies) for scene in layout.scenes]))
-    reaches = [_exact_reach(scene) for scene in layout.scenes]
-    for env, scene in enumerate(layout.scene_of.tolist()):
-        copies: dict[str, int] = {}
-        for body, shape in moving[scene]:
-            if shape.key not in copies:
-                copies[shape.key] = len(entries)
-                entries.append(Entry(shape, reaches[scene], env))
-            rows[layout.first_body[env] + body - first_of_scene[scene]] = copies[shape.key]
 
 
 def _exact_reach(scene: Scene) -> float:
@@ -167,13 +154,11 @@ def _shape_rows(entries: list[Entry], parts: list, samples: list) -> np.ndarray:
     """One record per shape."""
     shapes = [entry.shape for entry in entries]
     rows = np.zeros(len(shapes), schema.ShapeRecord.numpy_dtype())
-    part_start = exclusive_sums(np.array([len(group) for group in parts]))
-    cluster_start = exclusive_sums(np.array([len(s.cluster_radius) for s in samples]))
-    rows["part_start"], rows["part_end"] = part_start[:-1], part_start[1:]
+    _set_ranges(rows, "part", parts)
+    _set_ranges(rows, "cluster", [s.cluster_radius for s in samples])
+    _set_ranges(rows, "hull", [shape.hull for shape in shapes])
+    _set_ranges(rows, "ball", [shape.inner_balls for shape in shapes])
     rows["convex"] = [len(group) == 1 and group[0].kind not in (PartKind.GRID, PartKind.HEIGHTFIELD) for group in parts]
-    rows["cluster_start"], rows["cluster_end"] = cluster_start[:-1], cluster_start[1:]
-    hull_start = exclusive_sums(np.array([len(shape.hull) for shape in shapes]))
-    rows["hull_start"], rows["hull_end"] = hull_start[:-1], hull_start[1:]
     rows["inside"] = [
         shape.hull.mean(axis=0) if len(shape.hull) else (group[0].position if group else shape.center_of_mass)
         for shape, group in zip(shapes, parts, strict=True)
@@ -182,14 +167,18 @@ def _shape_rows(entries: list[Entry], parts: list, samples: list) -> np.ndarray:
     rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["size"] = [min(shape.size, UNBOUNDED) for shape in shapes]
     rows["wall"] = [min(shape.wall, UNBOUNDED) for shape in shapes]
-    ball_start = exclusive_sums(np.array([len(shape.inner_balls) for shape in shapes]))
-    rows["ball_start"], rows["ball_end"] = ball_start[:-1], ball_start[1:]
     rows["cell"] = [
         max((part.grid.spacing for part in group if part.kind == PartKind.GRID), default=0.0) for group in parts
     ]
     rows["dip"] = [s.dip for s in samples]
     rows["rise"] = [shape.top_speed if moves(shape) else 0.0 for shape in shapes]
     return rows
+
+
+def _set_ranges(rows: np.ndarray, name: str, lists: list) -> None:
+    """Set the first and the last entry that each row has in the lists, which follow each other in one array."""
+    start = exclusive_sums(np.array([len(entries) for entries in lists]))
+    rows[f"{name}_start"], rows[f"{name}_end"] = start[:-1], start[1:]
 
 
 def _part_rows(entries: list[Entry], parts: list, grids: list[np.ndarray], grid_of_part: list[int]) -> np.ndarray:
