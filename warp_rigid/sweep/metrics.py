@@ -50,81 +50,69 @@ class MetricRecorder:
         """Final value of every metric, (envs, ...); NaN if undefined for a run."""
         found: dict[str, np.ndarray] = {}
         for name in self.metrics:
-            values = METRICS[name](self)
+            values = getattr(self, name)()
             found |= values if isinstance(values, dict) else {name: values}
         return found
 
+    def top_height(self) -> np.ndarray:
+        """Height of the highest centre of mass of a dynamic body [m]."""
+        return self.highest(self.centers())
 
-def _top_height(recorder: MetricRecorder) -> np.ndarray:
-    """Height of the highest centre of mass of a dynamic body [m]."""
-    return recorder.highest(recorder.centers())
+    def deepest_overlap(self) -> np.ndarray:
+        """Maximum penetration between two bodies over all samples [m]."""
+        return self.deepest
 
+    def drift(self) -> np.ndarray:
+        """Maximum displacement of the centre of mass of a dynamic body from its initial position [m]."""
+        moved = np.linalg.norm(self.centers() - self.start, axis=-1)
+        return np.where(self.dynamic, moved, 0.0).max(axis=1)
 
-def _deepest_overlap(recorder: MetricRecorder) -> np.ndarray:
-    """Maximum penetration between two bodies over all samples [m]."""
-    return recorder.deepest
+    def settle_time(self) -> np.ndarray:
+        """Time of the last sample in which a dynamic body was faster than AT_REST [s]; NaN if one is at the end."""
+        return np.where(self.moving_until < self.sim.time, self.moving_until, np.nan)
 
+    def kinetic_energy(self) -> np.ndarray:
+        """Final kinetic energy of all bodies [J]."""
+        return sum_of_bodies(self.sim, self.sim.get("kinetic_energy"))
 
-def _drift(recorder: MetricRecorder) -> np.ndarray:
-    """Maximum displacement of the centre of mass of a dynamic body from its initial position [m]."""
-    moved = np.linalg.norm(recorder.centers() - recorder.start, axis=-1)
-    return np.where(recorder.dynamic, moved, 0.0).max(axis=1)
+    def toppled(self) -> np.ndarray:
+        """Whether the highest body ended below half the initial height difference between highest and lowest body.
 
+        False if all bodies start at the same height.
+        """
+        foot = np.where(self.dynamic, self.start[..., 2], np.inf).min(axis=1)
+        height = self.highest(self.start) - foot
+        return (height > 0.0) & (self.highest(self.centers()) < foot + 0.5 * height)
 
-def _settle_time(recorder: MetricRecorder) -> np.ndarray:
-    """Time of the last sample in which a dynamic body was faster than AT_REST [s]; NaN if one still is at the end."""
-    return np.where(recorder.moving_until < recorder.sim.time, recorder.moving_until, np.nan)
+    def escaped(self) -> np.ndarray:
+        """Number of dynamic bodies that ended outside the initial bounding box by more than its diagonal."""
+        lower, upper = self.box
+        reach = np.linalg.norm(upper - lower, axis=-1, keepdims=True)
+        centers = self.centers()
+        # NaN positions count as escaped, since the comparison is false for them.
+        inside = (centers > lower - reach) & (centers < upper + reach)
+        return (self.dynamic & ~inside.all(axis=-1)).sum(axis=1)
 
+    def contacts(self) -> np.ndarray:
+        """Number of contacts in the last step."""
+        return self.sim.pairs_and_contacts()[1]
 
-def _kinetic_energy(recorder: MetricRecorder) -> np.ndarray:
-    """Final kinetic energy of all bodies [J]."""
-    return sum_of_bodies(recorder.sim, recorder.sim.get("kinetic_energy"))
-
-
-def _toppled(recorder: MetricRecorder) -> np.ndarray:
-    """Whether the highest body ended below half the initial height difference between highest and lowest body.
-
-    False if all bodies start at the same height.
-    """
-    foot = np.where(recorder.dynamic, recorder.start[..., 2], np.inf).min(axis=1)
-    height = recorder.highest(recorder.start) - foot
-    return (height > 0.0) & (recorder.highest(recorder.centers()) < foot + 0.5 * height)
-
-
-def _escaped(recorder: MetricRecorder) -> np.ndarray:
-    """Number of dynamic bodies that ended outside the initial bounding box by more than the length of its diagonal."""
-    lower, upper = recorder.box
-    reach = np.linalg.norm(upper - lower, axis=-1, keepdims=True)
-    centers = recorder.centers()
-    # NaN positions count as escaped, since the comparison is false for them.
-    inside = (centers > lower - reach) & (centers < upper + reach)
-    return (recorder.dynamic & ~inside.all(axis=-1)).sum(axis=1)
-
-
-def _contacts(recorder: MetricRecorder) -> np.ndarray:
-    """Number of contacts in the last step."""
-    return recorder.sim.pairs_and_contacts()[1]
-
-
-def _final_pose(recorder: MetricRecorder) -> dict[str, np.ndarray]:
-    """Final poses of all bodies, concatenated: positions x, y, z [m] and quaternions (x, y, z, w)."""
-    found = {}
-    for name in ("position", "orientation"):
-        column = np.empty(recorder.sim.num_envs, object)
-        for env, rows in enumerate(recorder.sim.get(name)):
-            column[env] = rows[recorder.sim.exists[env]].reshape(-1).tolist()
-        found[f"final_{name}"] = column
-    return found
+    def final_pose(self) -> dict[str, np.ndarray]:
+        """Final poses of all bodies, concatenated: positions x, y, z [m] and quaternions (x, y, z, w)."""
+        found = {}
+        for name in ("position", "orientation"):
+            column = np.empty(self.sim.num_envs, object)
+            for env, rows in enumerate(self.sim.get(name)):
+                column[env] = rows[self.sim.exists[env]].reshape(-1).tolist()
+            found[f"final_{name}"] = column
+        return found
 
 
-METRICS: dict[str, Callable[[MetricRecorder], Any]] = {
-    metric.__name__[1:]: metric
-    for metric in (
-        _top_height, _deepest_overlap, _drift, _settle_time, _kinetic_energy, _toppled, _escaped, _contacts,
-        _final_pose,
-    )
-}  # fmt: skip
-"""Built-in metrics by name. "outcome" also selects the verdicts of the scene."""
+METRICS = (
+    "top_height", "deepest_overlap", "drift", "settle_time", "kinetic_energy", "toppled", "escaped", "contacts",
+    "final_pose",
+)  # fmt: skip
+"""Built-in metrics, methods of MetricRecorder. "outcome" also selects the verdicts of the scene."""
 
 DEFAULT = tuple(name for name in METRICS if name != "final_pose")
 """Default metrics of a sweep."""
