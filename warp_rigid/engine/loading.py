@@ -14,15 +14,7 @@ from warp_rigid.kernels.collide import bake, broadphase, candidates, ccd, narrow
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts
 from warp_rigid.kernels.graph import coloring, islands, support
-from warp_rigid.kernels.solve import (
-    contact_solver,
-    impact_rounds,
-    push_out,
-    push_rounds,
-    rest,
-    restitution,
-    rounds,
-)
+from warp_rigid.kernels.solve import contact_solver, impact_rounds, push_out, push_rounds, rest, restitution, rounds
 from warp_rigid.kernels.update import ground_motion, health, integrate, paths, predict, sleep, watch
 
 TEAM_MODULES = (contact_solver, restitution, support, coloring, push_out)

@@ -111,16 +111,7 @@ class Simulator:
         self._lock = threading.RLock()
         self._stream = wp.get_stream(chosen) if chosen.is_cuda else None
         with exclusive():
-            self._world = World(
-                layout,
-                checked,
-                chosen,
-                seed,
-                on_overflow,
-                on_nonfinite,
-                memory_limit,
-                capacity or {},
-            )
+            self._world = World(layout, checked, chosen, seed, on_overflow, on_nonfinite, memory_limit, capacity or {})
         self.scenes, self.scene_of = layout.scenes, layout.scene_of
         self.settings, self.device = self._world.settings, self._world.device
         self.num_envs, self.num_bodies = layout.num_envs, layout.most_bodies

@@ -203,15 +203,8 @@ class Scene:
             TypeError: A keyword is unknown.
         """
         self._check_shape(shape, Motion.DYNAMIC)
-        return self._add(
-            shape,
-            Motion.DYNAMIC,
-            (position, orientation, linear_velocity, angular_velocity),
-            _mass(shape, density, mass),
-            name,
-            active,
-            coefficients,
-        )
+        state = (position, orientation, linear_velocity, angular_velocity)
+        return self._add(shape, Motion.DYNAMIC, state, _mass(shape, density, mass), name, active, coefficients)
 
     def add_pool(self, shape: Shape, count: int, name: str, **more: Any) -> list[int]:
         """Add inactive dynamic bodies for `Simulator.spawn`, named NAME_0, NAME_1, and so on.
@@ -265,16 +258,8 @@ class Scene:
             TypeError: A keyword is unknown.
         """
         self._check_shape(shape, Motion.STATIC)
-        return self._add(
-            shape,
-            Motion.STATIC,
-            (position, orientation, STILL, STILL),
-            0.0,
-            name,
-            active,
-            coefficients,
-            (surface_velocity, surface_angular_velocity),
-        )
+        state, surface = (position, orientation, STILL, STILL), (surface_velocity, surface_angular_velocity)
+        return self._add(shape, Motion.STATIC, state, 0.0, name, active, coefficients, surface)
 
     @list_coefficients
     def add_kinematic(
@@ -315,17 +300,9 @@ class Scene:
             TypeError: A keyword is unknown.
         """
         self._check_shape(shape, Motion.KINEMATIC)
-        return self._add(
-            shape,
-            Motion.KINEMATIC,
-            _start((position, orientation, linear_velocity, angular_velocity), path),
-            0.0,
-            name,
-            active,
-            coefficients,
-            (surface_velocity, surface_angular_velocity),
-            path,
-        )
+        state = _start((position, orientation, linear_velocity, angular_velocity), path)
+        surface = (surface_velocity, surface_angular_velocity)
+        return self._add(shape, Motion.KINEMATIC, state, 0.0, name, active, coefficients, surface, path)
 
     def add_force_field(self, field: ForceField) -> None:
         """Add a force field, such as a UniformField or PointField, which acts on all dynamic bodies besides gravity.
