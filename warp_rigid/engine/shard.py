@@ -12,10 +12,9 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine import health_checks
-from warp_rigid.engine.demand import Demand
 from warp_rigid.engine.loading import OVERLAP, load_kernels
 from warp_rigid.engine.model import Arrays
-from warp_rigid.engine.pools import Pools
+from warp_rigid.engine.pools import Demand, Pools
 from warp_rigid.engine.step import Stages, StepOptions
 from warp_rigid.kernels import declare
 from warp_rigid.kernels.declare import Lifetime

@@ -1,9 +1,11 @@
 """Mesh: a solid bounded by triangles, with a signed distance grid."""
 
+import contextlib
 import warnings
 from collections.abc import Callable
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -11,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from warp_rigid.checks import shown, whole_in
 from warp_rigid.files import mesh_files
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.scene.shapes import distance_grid, inner_balls, mass_properties, topology
-from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
-from warp_rigid.scene.shapes.mesh_image import image_path
+from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, content_hash, frozen_array, point_array
 from warp_rigid.scene.shapes.mesh_repair import Surface, checked, checked_uv, repair
 from warp_rigid.scene.shapes.sampling import SampleList, sample_mesh
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree, triangle_tree
@@ -153,7 +155,7 @@ class Mesh(Shape):
             warnings.warn(f"{path}: mesh repaired: {'; '.join(notable)}", stacklevel=2)
         if scale == 1.0 and not mesh_files.states_its_unit(path):
             mesh._doubt_unit(f"{path}: ", "scale=0.001")
-        mesh.image = image_path(path, found.image)
+        mesh.image = _image_path(path, found.image)
         return mesh
 
     @classmethod
@@ -171,7 +173,7 @@ class Mesh(Shape):
             raise ValueError(f"mesh: must have vertices and faces, as a trimesh.Trimesh, got {shown(mesh)}")
         visual = getattr(mesh, "visual", None)
         made = cls(mesh.vertices, mesh.faces, sdf_resolution, uv=getattr(visual, "uv", None))
-        made.image = None if made.uv is None else image_path("mesh", mesh_files.image_of(visual))
+        made.image = None if made.uv is None else _image_path("mesh", mesh_files.image_of(visual))
         if getattr(mesh, "units", None) is None:
             made._doubt_unit("mesh: ", "mesh.apply_scale(0.001)")
         return made
@@ -298,3 +300,28 @@ def _refuse_flat(vertices, faces, properties) -> None:
         raise ValueError(f"mesh: must enclose a volume > 0, got {properties.volume:.3g} m^3")
     if not np.linalg.eigvalsh(properties.inertia)[0] > 0.0:
         raise ValueError("mesh: must bound a solid, got a surface whose inertia is not positive")
+
+
+def _image_path(path: Any, image: Any) -> str | None:
+    """Absolute path of an image of a mesh file; an image inside of the file is written to the cache folder.
+
+    Args:
+        path: of the mesh file.
+        image: path of the image, or an image of Pillow; None without.
+
+    Returns:
+        None without an image, with a warning if its file does not exist or cannot be written.
+    """
+    if image is None:
+        return None
+    if not isinstance(image, Path):
+        pixels = image.convert("RGB")
+        image = distance_grid.cache_folder() / "images" / f"{content_hash(np.asarray(pixels))}.png"
+        with contextlib.suppress(OSError):
+            if not image.is_file():
+                with atomic_file(image) as temporary:
+                    pixels.save(temporary, "PNG")
+    if not image.is_file():
+        warnings.warn(f"{path}: image {image} does not exist; bodies are shown in their plain colour", stacklevel=4)
+        return None
+    return str(image.absolute())
