@@ -61,9 +61,9 @@ def find_mechanisms(ends: tuple[tuple[int, int | None], ...], dynamic: tuple[boo
         links[first].add(second)
     found = Mechanisms([], [0], [0], [], [], [0], [], [])
     label = components(np.array([*shared], np.int64).reshape(-1, 2), len(ends))
-    for smallest in np.unique(label):
-        group = np.flatnonzero(label == smallest).tolist()
-        _eliminate({joint: links[joint] for joint in group}, shared, found)
+    order = np.argsort(label, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if ends else ():
+        _eliminate({joint: links[joint] for joint in group.tolist()}, shared, found)
         found.first_place.append(len(found.sequence))
         found.members.append(sorted({body for joint in group for body in ends[joint] if body is not None}))
     return found

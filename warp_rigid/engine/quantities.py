@@ -49,13 +49,10 @@ LACKED = {
 }
 """Quantities that are always 0 for bodies of a kind, and for which bodies they are not."""
 
-DERIVED = ("inertia", "center_of_mass", "kinetic_energy", "potential_energy", "asleep", "level")
 WRITABLE = (*STATE_NAMES, *SURFACE_VELOCITIES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
 """Names of the quantities of bodies and environments that can be set."""
 SETTABLE = (*WRITABLE, *field_values.TAILS, *joint_quantities.WRITABLE)
 """Names of all quantities that can be set, also those of force fields and joints."""
-READABLE = (*SETTABLE, *DERIVED, *joint_quantities.DERIVED)
-"""Names of the quantities that `read` knows."""
 
 
 def owner_of(name: str) -> str:
@@ -429,4 +426,5 @@ _DERIVE = {
     "kinetic_energy": _kinetic_energy,
     "potential_energy": _potential_energy,
 }
-assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
+READABLE = (*SETTABLE, *_DERIVE, "asleep", "level", *joint_quantities.DERIVED)
+"""Names of the quantities that `read` knows."""
