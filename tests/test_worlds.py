@@ -10,7 +10,7 @@ from warp_rigid.engine.quantities import READABLE, owner_of
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.sweep.batch_size import SizedRun, batch_bytes, footprint_of, split_into_batches
 from warp_rigid.sweep.design import Run
-from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
+from warp_rigid.sweep.environment_view import EnvironmentView
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 
@@ -171,7 +171,7 @@ def test_get_selects_as_indexing_does(device, name):
             np.testing.assert_array_equal(found, whole[np.ix_(envs, rows)])
         np.testing.assert_array_equal(sim.get(name, **{owner: names[0]}), whole[:, rows[:1]])
         np.testing.assert_array_equal(sim.get(name, **{owner: slice(1, None, 2)}), whole[:, 1::2])
-        view = EnvironmentView(SharedReads(sim), sim.scenes[1], np.array([1, 3]))
+        view = EnvironmentView(sim, sim.scenes[1], np.array([1, 3]), {})
         np.testing.assert_array_equal(view.get(name, envs=[1], **{owner: names}), whole[np.ix_([3], rows)])
     else:
         with pytest.raises(ValueError, match=f"^bodies: must not be given for {name}"):

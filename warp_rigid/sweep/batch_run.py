@@ -17,7 +17,7 @@ from warp_rigid.runs.user_code import column_name
 from warp_rigid.scenes.demo import SI_UNITS
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
-from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
+from warp_rigid.sweep.environment_view import EnvironmentView
 from warp_rigid.sweep.failures import Failures
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs, structure
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure
@@ -68,9 +68,9 @@ class Prepared:
         groups: dict[Any, list[EnvironmentView]] = {}
         for view in self.views:
             groups.setdefault(structure(view.scene), []).append(view)
-        reads = SharedReads(self.sim)
+        reads: dict[str, Any] = {}
         return [
-            EnvironmentView(reads, views[0].scene, np.sort(np.concatenate([view.envs for view in views])))
+            EnvironmentView(self.sim, views[0].scene, np.sort(np.concatenate([view.envs for view in views])), reads)
             for views in groups.values()
         ]
 
@@ -88,8 +88,8 @@ def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     settings = Settings(**inputs[0].settings)
     sim = Simulator([scenes[index] for index in which], settings=settings, device=job.device, seed=runs[0].seed)
     _set_all(sim, inputs)
-    reads = SharedReads(sim)
-    views = [EnvironmentView(reads, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)]
+    reads: dict[str, Any] = {}
+    views = [EnvironmentView(sim, scene, np.flatnonzero(which == i), reads) for i, scene in enumerate(scenes)]
     return Prepared(sim, [runs[index] for index in order], views)
 
 

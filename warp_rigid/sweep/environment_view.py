@@ -11,45 +11,24 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
 
-class SharedReads:
-    """Quantities that the views of a simulator have read since it last changed: each is read once for all views.
-
-    Args:
-        sim: the simulator.
-    """
-
-    def __init__(self, sim: Simulator) -> None:
-        """Start with nothing read."""
-        self.sim = sim
-        self._time = -1.0
-        self._values: dict[str, np.ndarray] = {}
-
-    def read(self, key: str, read: Callable[[], np.ndarray]) -> np.ndarray:
-        """The result of `read`, called once; it must not be modified."""
-        if self.sim.time != self._time:
-            self.forget()
-        if key not in self._values:
-            self._values[key] = read()
-        return self._values[key]
-
-    def forget(self) -> None:
-        """Read again, because something was changed."""
-        self._time = self.sim.time
-        self._values = {}
-
-
 class EnvironmentView:
     """A subset of the environments of a simulator, with part of the interface of `Simulator`.
 
-    Attributes:
+    Args:
+        sim: the simulator.
         scene: the scene of these environments, or of the first of them.
         envs: their indices in the simulator.
+        reads: what the views of a simulator have read since it last changed: each is read once for all views that share
+            this dictionary.
+
+    Attributes:
+        scene: as given.
+        envs: as given.
         num_envs: their number.
     """
 
-    def __init__(self, reads: SharedReads, scene: Scene, envs: np.ndarray) -> None:
+    def __init__(self, sim: Simulator, scene: Scene, envs: np.ndarray, reads: dict[str, Any]) -> None:
         """Store the indices of the environments."""
-        sim = reads.sim
         self._reads, self._sim, self.scene, self.envs = reads, sim, scene, envs
         self.num_envs, self.num_bodies = len(envs), len(scene.bodies)
         self.settings, self.device = sim.settings, sim.device
@@ -59,9 +38,18 @@ class EnvironmentView:
         """Simulated time [s]."""
         return self._sim.time
 
+    def _read(self, key: str, read: Callable[[], np.ndarray]) -> np.ndarray:
+        """The result of `read`, called once after each change; it must not be modified."""
+        if self._reads.get("time") != self._sim.time:
+            self._reads.clear()
+            self._reads["time"] = self._sim.time
+        if key not in self._reads:
+            self._reads[key] = read()
+        return self._reads[key]
+
     def get(self, name: str, envs: Indices = None, bodies: Members = None, joints: Members = None) -> np.ndarray:
         """See Simulator.get."""
-        values = self._reads.read(name, lambda: self._sim.get(name))[self._chosen(envs)]
+        values = self._read(name, lambda: self._sim.get(name))[self._chosen(envs)]
         check_owner(name, bodies, joints)
         owner, wanted = owner_of(name), bodies if joints is None else joints
         if owner not in ("bodies", "joints"):
@@ -74,7 +62,7 @@ class EnvironmentView:
 
     def contacts(self) -> np.ndarray:
         """See Simulator.contacts."""
-        records = self._reads.read("contacts()", self._sim.contacts)
+        records = self._read("contacts()", self._sim.contacts)
         place = np.full(self._sim.num_envs, -1, np.int32)
         place[self.envs] = np.arange(self.num_envs)
         own = records[place[records["env"]] >= 0]
@@ -88,27 +76,27 @@ class EnvironmentView:
         if joints is None and owner_of(name) == "joints":
             joints = np.arange(len(self.scene.joints))
         self._sim.set(name, value, self._chosen(envs), bodies, joints)
-        self._reads.forget()
+        self._reads.clear()
 
     def spawn(self, pool: str, position: Any, envs: Any = None, **state: Any) -> np.ndarray:
         """See Simulator.spawn; all but the pool and the position are given by name."""
-        self._reads.forget()
+        self._reads.clear()
         return self._sim.spawn(pool, position, envs=self._chosen(envs), **state)
 
     def despawn(self, bodies: Any, envs: Any = None) -> None:
         """See Simulator.despawn."""
         self._sim.despawn(bodies, self._chosen(envs))
-        self._reads.forget()
+        self._reads.clear()
 
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """See Simulator.apply_impulse."""
         self._sim.apply_impulse(impulse, point, body, self._chosen(envs))
-        self._reads.forget()
+        self._reads.clear()
 
     def penetration(self) -> np.ndarray:
         """See Simulator.penetration."""
-        return self._reads.read("penetration()", self._sim.penetration)[self.envs]
+        return self._read("penetration()", self._sim.penetration)[self.envs]
 
     def status(self) -> np.ndarray:
         """See Simulator.status."""
-        return self._reads.read("status()", self._sim.status)[self.envs]
+        return self._read("status()", self._sim.status)[self.envs]
