@@ -221,14 +221,20 @@ def _execute(
     options: RunOptions, plan: runner.Plan, chosen: list[int] | None, checkpoints: Checkpoints
 ) -> tuple[runner.Result, UserCodeError | None]:
     """The result of the run, or up to an error of the user's code, and that error."""
-    done = _FramesDone(plan.frames)
-    with told_if_interrupted(lambda: done.kept(options, checkpoints), lambda: done.count > 0):
+    done = 0
+    with told_if_interrupted(lambda: _kept(options, checkpoints, done, plan.frames), lambda: done > 0):
         try:
             with progress(plan.demo.name, plan.frames) as advance:
+
+                def on_frame(frame: int) -> None:
+                    nonlocal done
+                    done = frame
+                    advance(frame)
+
                 if options.streamed:
-                    return _execute_to_usd(plan, options.streamed, chosen, options.usd, done.then(advance)), None
+                    return _execute_to_usd(plan, options.streamed, chosen, options.usd, on_frame), None
                 velocities, contacts = options.color == "speed", options.usd_contacts
-                return runner.execute(plan, chosen, done.then(advance), checkpoints, velocities, contacts), None
+                return runner.execute(plan, chosen, on_frame, checkpoints, velocities, contacts), None
         except UserCodeError as error:
             if error.kept is None or not error.kept.summary["frames"]:
                 raise
@@ -245,32 +251,17 @@ def _memory_limit(text: str | None) -> int | float | None:
         raise ValueError(f"--memory-limit: must be bytes or a fraction such as 0.5, got {text}") from None
 
 
-class _FramesDone:
-    """Counts the finished frames, for the message after an interruption."""
-
-    def __init__(self, total: int):
-        self.count, self._total = 0, total
-
-    def then(self, advance: Callable[[int], None]) -> Callable[[int], None]:
-        """A function for runner.execute that counts the frame and calls another function."""
-
-        def on_frame(done: int) -> None:
-            self.count = done
-            advance(done)
-
-        return on_frame
-
-    def kept(self, options: RunOptions, checkpoints: Checkpoints) -> str:
-        """What an interrupted run has kept, and how to continue it."""
-        text = f"after {self.count} of {self._total} frames; "
-        every = checkpoints.every
-        if every is not None and self.count >= every:
-            frame = self.count - self.count % every
-            return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(options.context)}"
-        if options.streamed:
-            text += f"kept {options.streamed} with {self.count + 1} frames"
-            return f"{text}; to be able to continue, use --checkpoint-every N"
-        return text + "nothing was kept; to be able to continue, use --checkpoint-every N"
+def _kept(options: RunOptions, checkpoints: Checkpoints, done: int, total: int) -> str:
+    """What a run that was interrupted after some frames has kept, and how to continue it."""
+    text = f"after {done} of {total} frames; "
+    every = checkpoints.every
+    if every is not None and done >= every:
+        frame = done - done % every
+        return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(options.context)}"
+    if options.streamed:
+        text += f"kept {options.streamed} with {done + 1} frames"
+        return f"{text}; to be able to continue, use --checkpoint-every N"
+    return text + "nothing was kept; to be able to continue, use --checkpoint-every N"
 
 
 def _execute_to_usd(
