@@ -98,11 +98,8 @@ def number_in(name, value, low=-math.inf, high=math.inf, *, above=None):
     if type(value) in _PLAIN and low <= value <= high and abs(value) <= EXACT and (above is None or value > above):
         return float(value)
     array = numbers_of(value)
-    if array is None or array.shape != ():
-        raise ValueError(f"{name}: must be {_range(low, high, above)}, got {shown(value)}")
-    number = float(array)
-    finite = abs(number) <= LARGEST
-    if not finite or not low <= number <= high or (above is not None and number <= above):
+    number = math.nan if array is None or array.shape != () else float(array)
+    if not (abs(number) <= LARGEST and low <= number <= high and (above is None or number > above)):
         raise ValueError(f"{name}: must be {_range(low, high, above)}, got {shown(value)}")
     return number
 

@@ -160,10 +160,6 @@ class Layout:
             return values.reshape(self.num_envs, self.most_bodies, *values.shape[1:])
         return spread_rows(values, self.rows)
 
-    def environments(self, scene: int) -> np.ndarray:
-        """Environments of a scene, by its index."""
-        return np.flatnonzero(self.scene_of == scene)
-
     def ranges(self, first: int, end: int) -> dict[str, tuple[int, int]]:
         """Rows of the environments from `first` to before `end`, by the symbol that counts them."""
         found = {symbol: (int(start[first]), int(start[end])) for symbol, start in self.starts.items()}

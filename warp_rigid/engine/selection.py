@@ -166,7 +166,7 @@ def _check_distinct(name: str, chosen: Sequence | np.ndarray, value: Any) -> Non
 
 def _environments(layout: Layout, scene: int) -> str:
     """The first environments of a scene as text."""
-    envs = layout.environments(scene)
+    envs = np.flatnonzero(layout.scene_of == scene)
     return f"environment{'s' if len(envs) > 1 else ''} {listed(envs)}"
 
 

@@ -15,7 +15,7 @@ from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes import inner_balls
-from warp_rigid.scene.shapes.mass_properties import MassProperties
+from warp_rigid.scene.shapes.mass_properties import MassProperties, no_solid
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree
 from warp_rigid.threads import exclusive
@@ -127,7 +127,9 @@ class Shape:
 
     @property
     def mass_properties(self) -> MassProperties:
-        """Volume, centre of mass and inertia at unit density."""
+        """Volume, centre of mass and inertia at unit density; zero for a shape that dynamic bodies cannot have."""
+        if self.static_only:
+            return no_solid()
         raise NotImplementedError
 
     def support(self, directions: np.ndarray) -> np.ndarray:

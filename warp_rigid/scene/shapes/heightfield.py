@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_rigid.checks import finite_vector, number_array, number_in, shown
-from warp_rigid.scene.shapes import mass_properties, tessellation
+from warp_rigid.scene.shapes import tessellation
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
 
@@ -132,11 +132,6 @@ class Heightfield(Shape):
             rise = np.abs(np.diff(self.heights, axis=axis)) + np.abs(np.diff(swing, axis=axis))
             slopes.append(rise.max() / step)
         return float(np.hypot(*slopes))
-
-    @cached_property
-    def mass_properties(self):
-        """Zero: a height field has no mass."""
-        return mass_properties.no_solid()
 
     @cached_property
     def bounds(self):

@@ -1,13 +1,12 @@
 """Plane: a half space, for static bodies only."""
 
 import math
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_rigid.checks import finite_vector, number_in, shown
-from warp_rigid.scene.shapes import mass_properties, tessellation
+from warp_rigid.scene.shapes import tessellation
 from warp_rigid.scene.shapes.base import Part, PartKind, Shape, frozen_array
 from warp_rigid.scene.shapes.sampling import SampleList
 
@@ -36,11 +35,6 @@ class Plane(Shape):
         # A unit normal is not scaled again, so that it keeps its bits.
         self.normal = frozen_array(direction if abs(length - 1.0) <= 1e-15 else direction / length)
         self.offset = number_in("offset", offset)
-
-    @cached_property
-    def mass_properties(self):
-        """Zero: a plane has no mass."""
-        return mass_properties.no_solid()
 
     def support(self, directions: np.ndarray) -> np.ndarray:
         """Infinite in all directions except the normal's."""
