@@ -3,7 +3,7 @@
 What the last steps required of them, and from its trend what the next ones may require, is their demand.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -41,21 +41,10 @@ SOON, LATER = 1.5, 4.0
 """A pool grows if the next steps exceed it that rise by the first number times the last rise, as landings accelerate.
 It is sized for a rise by the second number, as are the pools which that exceeds: the step is recorded again anyway."""
 
-STRUCTS = {
-    "pairs": schema.Pairs,
-    "near": NearSamples,
-    "suspects": Suspects,
-    "contacts": schema.Contacts,
-    "history": schema.History,
-    "constraints": schema.Constraints,
-    "graph": schema.Graph,
-    "order": schema.Order,
-    "visits": VisitOrder,
-    "rounds": heap_arrays.Rounds,
-    "selected": heap_arrays.Rounds,
-    "slots": heap_arrays.Slots,
-}
-"""The structs of the pools, by their attribute."""
+
+def _arrays(struct: Any) -> Any:
+    """A field of Pools that holds the arrays of a struct."""
+    return field(metadata={"struct": struct})
 
 
 @dataclass
@@ -65,6 +54,9 @@ class Pools:
     Attributes:
         layout: the environments.
         sizes: symbols of the data layout and their values.
+        wanted_row: (1,) row of `wanted` for the current step.
+        wanted: (CHUNK, 4) required number of pairs, contacts, candidates and near samples of each step; of candidates
+            only a number that exceeds the capacity, and in the first row, after the steps, that of the last one.
         pairs: candidate pairs.
         near: samples of the searched pairs that may touch.
         suspects: samples that continuous collision detection traces.
@@ -77,27 +69,24 @@ class Pools:
         rounds: pairs of heaps, which are solved in rounds.
         selected: pairs of heaps with an impact, then those with an overlap.
         slots: velocity changes of the bodies of heaps by each of their pairs.
-        wanted_row: (1,) row of `wanted` for the current step.
-        wanted: (CHUNK, 4) required number of pairs, contacts, candidates and near samples of each step; of candidates
-            only a number that exceeds the capacity, and in the first row, after the steps, that of the last one.
     """
 
     layout: Layout
     sizes: dict[str, int]
-    pairs: Any
-    near: Any
-    suspects: Any
-    contacts: Any
-    history: Any
-    constraints: Any
-    graph: Any
-    order: Any
-    visits: Any
-    rounds: Any
-    selected: Any
-    slots: Any
     wanted_row: wp.array
     wanted: wp.array
+    pairs: Any = _arrays(schema.Pairs)
+    near: Any = _arrays(NearSamples)
+    suspects: Any = _arrays(Suspects)
+    contacts: Any = _arrays(schema.Contacts)
+    history: Any = _arrays(schema.History)
+    constraints: Any = _arrays(schema.Constraints)
+    graph: Any = _arrays(schema.Graph)
+    order: Any = _arrays(schema.Order)
+    visits: Any = _arrays(VisitOrder)
+    rounds: Any = _arrays(heap_arrays.Rounds)
+    selected: Any = _arrays(heap_arrays.Rounds)
+    slots: Any = _arrays(heap_arrays.Slots)
 
     @classmethod
     def allocate(cls, layout: Layout, sizes: dict[str, int], device: Any) -> "Pools":
@@ -132,10 +121,10 @@ class Pools:
             return
         kept = {"pairs": stays, "contacts": np.repeat(stays, of_pair)}
         sums = {"bodies": np.bincount(body_a[stays], minlength=used["bodies"]), "pairs": of_pair[stays]}
-        for _, field, array in declare.arrays_of(history, Lifetime.REMEMBERED):
-            symbol = declare.counted_by(field)
+        for _, stated, array in declare.arrays_of(history, Lifetime.REMEMBERED):
+            symbol = declare.counted_by(stated)
             rows = (
-                exclusive_sums(sums[symbol]) if declare.is_sum(field) else array.numpy()[: used[symbol]][kept[symbol]]
+                exclusive_sums(sums[symbol]) if declare.is_sum(stated) else array.numpy()[: used[symbol]][kept[symbol]]
             )
             fill(array, rows)
 
@@ -164,6 +153,10 @@ class Pools:
         for name, _, array in declare.arrays_of(self.graph, Lifetime.REMEMBERED):
             wp.copy(getattr(pools.graph, name), array)
         return pools
+
+
+STRUCTS = {entry.name: entry.metadata["struct"] for entry in fields(Pools) if entry.metadata}
+"""The structs of the pools, by their attribute."""
 
 
 class Demand:
