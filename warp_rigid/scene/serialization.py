@@ -51,10 +51,7 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
         "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
-        "joints": [
-            {**asdict(entry), "kind": type(entry.joint).__name__, "joint": entry.joint.values()}
-            for entry in scene.joints
-        ],
+        "joints": [{**asdict(entry), "kind": type(entry.joint).__name__} for entry in scene.joints],
     }
 
 

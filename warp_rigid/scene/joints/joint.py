@@ -7,7 +7,7 @@ the joint's axis.
 
 import math
 from abc import ABC
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -60,10 +60,6 @@ class Joint(ABC):
     def resistance(self) -> float:
         """Largest force or torque of the joint's own friction [N or N m]."""
         return getattr(self, "friction", 0.0)
-
-    def values(self) -> dict[str, Any]:
-        """Return the parameters by name, as for the constructor."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
 
 @dataclass(frozen=True)
