@@ -199,6 +199,11 @@ class Demand:
         return {name: n for name, n, low in zip(POOLS, expected, later > present, strict=True) if low}
 
 
+def expected_pairs(dynamic: np.ndarray) -> np.ndarray:
+    """Initial capacity for pairs of environments with a number of dynamic bodies: six pairs each."""
+    return np.maximum(8, 6 * dynamic)
+
+
 def sizes_for(pairs: int, contacts: int, layout: dict[str, int]) -> dict[str, int]:
     """Symbols of the data layout and their values.
 

@@ -109,7 +109,7 @@ def initial_capacity(layout: Layout, given: Mapping[str, int]) -> dict[str, int]
         raise ValueError(f"capacity: must be a dictionary of numbers of pairs and contacts, got {shown(given)}")
     for name in given:
         one_of("capacity", name, pools.NAMES)
-    estimate = int((6 * layout.dynamic_per_env).clip(min=8).sum())
+    estimate = int(pools.expected_pairs(layout.dynamic_per_env).sum())
     pairs = whole_in("capacity pairs", given.get("pairs", min(estimate, pools.LARGEST)), 1, pools.LARGEST)
     contacts = whole_in("capacity contacts", given.get("contacts", min(6 * pairs, pools.LARGEST)), 1, pools.LARGEST)
     return {"pairs": pairs, "contacts": contacts}
