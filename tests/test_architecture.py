@@ -37,7 +37,7 @@ UPWARD = {
     ("render.film", "usd.metadata"): "draws a film that is a USD file",
     ("render.film", "usd.opening"): "draws a film that is a USD file",
     ("render.film", "usd.prims"): "draws a film that is a USD file",
-    ("render.film", "usd.texture_coordinates"): "draws a film that is a USD file",
+    ("render.film", "usd.preview_surface"): "draws a film that is a USD file",
     ("runs.runner", "usd"): "runs a scene that is a USD file",
     ("runs.runner", "usd.load"): "runs a scene that is a USD file",
     ("runs.runner", "usd.options"): "runs a scene that is a USD file",

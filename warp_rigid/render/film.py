@@ -288,7 +288,7 @@ def _read_instancer(prim, frames):
     """Read the mesh of a PointInstancer and its image, and positions, orientations and colours of its instances."""
     from pxr import UsdGeom
 
-    from warp_rigid.usd.texture_coordinates import uv_and_image
+    from warp_rigid.usd.preview_surface import uv_and_image
 
     instancer = UsdGeom.PointInstancer(prim)
     targets = instancer.GetPrototypesRel().GetTargets()
@@ -311,7 +311,7 @@ def _read_body(prim, frames):
     from pxr import Usd, UsdGeom
 
     from warp_rigid.usd.prims import matrix_of, triangles_of
-    from warp_rigid.usd.texture_coordinates import uv_and_image
+    from warp_rigid.usd.preview_surface import uv_and_image
 
     vertices, faces, count, moving = [], [], 0, {}
     coordinates, image = [], None

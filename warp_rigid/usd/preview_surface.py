@@ -1,10 +1,11 @@
-"""Looks of the bodies of imported files: their UsdPreviewSurface materials and display colours."""
+"""Looks of the bodies of imported files: UsdPreviewSurface materials, display colours and texture coordinates."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
+from warp_rigid.files.usd_meshes import usd_coordinates, usd_corners
 from warp_rigid.render.textures import mean_color
 from warp_rigid.scene.look import Look
 from warp_rigid.usd.geometry import custom_data
@@ -32,6 +33,12 @@ class Texture(NamedTuple):
     rotation: float = 0.0
     translation: tuple[float, float] = (0.0, 0.0)
 
+    def transformed(self, uv: np.ndarray) -> np.ndarray:
+        """Coordinates (..., 2) after the transform."""
+        angle = np.radians(self.rotation)
+        turn = np.array([(np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))])
+        return (uv * self.scale) @ turn + self.translation
+
 
 def read_look(body: Usd.Prim, has_uv: bool, notes: list[str]) -> Look | None:
     """The look of the first geometry of a body; None if the file states nothing about it.
@@ -47,22 +54,61 @@ def read_look(body: Usd.Prim, has_uv: bool, notes: list[str]) -> Look | None:
     written = "motion" in custom_data(body)
     for prim in Usd.PrimRange(body, Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.Gprim) and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide:
-            material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+            material, shader = _bound(prim)
             if written and not (material and "look" in custom_data(material.GetPrim())):
                 return None
-            shader = material.ComputeSurfaceSource()[0] if material else None
-            if shader and shader.GetIdAttr().Get() == PREVIEW:
+            if shader is not None:
                 return _of_shader(shader, prim, has_uv, notes)
             color = _primvar(prim, "displayColor")
             return None if color is None else Look(color, roughness=1.0)
     return None
 
 
-def texture_of(prim: Usd.Prim) -> Texture | None:
-    """The texture of the material of a geometry; None without one whose file exists."""
+def read_uv(prim: Usd.Prim, corners: np.ndarray, triangles: np.ndarray, notes: list[str]) -> np.ndarray | None:
+    """Texture coordinates of the corners of triangles, (m, 3, 2); None if a mesh has none.
+
+    Of meshes written by this package, only those that had coordinates before count, not those that it projected.
+
+    Args:
+        prim: a mesh.
+        corners: points of the corners of its polygons (c,).
+        triangles: corners of its triangles (m, 3).
+        notes: receives why coordinates are not used.
+    """
+    custom = custom_data(prim)
+    if custom and "uv" not in custom:
+        return None
+    texture = _texture_of(prim) or Texture("")
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(texture.varname)
+    if not primvar or not primvar.HasValue():
+        return None
+    try:
+        return texture.transformed(usd_coordinates(UsdGeom.Mesh(prim), primvar, corners, triangles))
+    except ValueError as error:
+        notes.append(str(error))
+        return None
+
+
+def uv_and_image(prim: Usd.Prim) -> tuple[np.ndarray | None, str | None]:
+    """Texture coordinates of the triangles of a mesh, (m, 3, 2) float32, and the path of its image; or None, None."""
+    texture = _texture_of(prim) if prim.IsA(UsdGeom.Mesh) else None
+    if texture is None:
+        return None, None
+    _, corners, triangles = usd_corners(UsdGeom.Mesh(prim))
+    uv = read_uv(prim, corners, triangles, [])
+    return (None, None) if uv is None else (uv.astype(np.float32), texture.image)
+
+
+def _bound(prim: Usd.Prim) -> tuple[UsdShade.Material, UsdShade.Shader | None]:
+    """The material of a geometry, and its UsdPreviewSurface; None if it has another surface or none."""
     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     shader = material.ComputeSurfaceSource()[0] if material else None
-    return _texture(_source(shader, "diffuseColor")) if shader and shader.GetIdAttr().Get() == PREVIEW else None
+    return material, shader if _kind(shader) == PREVIEW else None
+
+
+def _texture_of(prim: Usd.Prim) -> Texture | None:
+    """The texture of the material of a geometry; None without one whose file exists."""
+    return _texture(_source(_bound(prim)[1], "diffuseColor"))
 
 
 def _texture(source: UsdShade.Shader | None) -> Texture | None:
@@ -86,8 +132,7 @@ def _texture(source: UsdShade.Shader | None) -> Texture | None:
 
 def _named_image(source: UsdShade.Shader | None) -> str | None:
     """The path of the image of a UsdUVTexture, whether or not the file exists."""
-    entry = source.GetInput("file") if source else None
-    for attribute in entry.GetValueProducingAttributes() if entry else []:
+    for attribute in _producers(source, "file"):
         asset, stack = attribute.Get(), attribute.GetPropertyStack()
         if isinstance(asset, Sdf.AssetPath) and asset.path and stack:
             return str(asset.resolvedPath or stack[0].layer.ComputeAbsolutePath(asset.path))
@@ -101,17 +146,21 @@ def _kind(shader: UsdShade.Shader | None) -> str:
 
 def _source(shader: UsdShade.Shader | None, name: str) -> UsdShade.Shader | None:
     """The shader that an input is connected to, also through the inputs of materials and node graphs."""
-    entry = shader.GetInput(name) if shader else None
-    found = entry.GetValueProducingAttributes() if entry else []
+    found = _producers(shader, name)
     is_output = found and UsdShade.Utils.GetType(found[0].GetName()) == UsdShade.AttributeType.Output
     return UsdShade.Shader(found[0].GetPrim()) if is_output else None
 
 
 def _value(shader: UsdShade.Shader | None, name: str) -> Any:
     """The value of an input, also one of the material that it is connected to."""
-    entry = shader.GetInput(name) if shader else None
-    found = entry.GetValueProducingAttributes() if entry else []
+    found = _producers(shader, name)
     return found[0].Get() if found else None
+
+
+def _producers(shader: UsdShade.Shader | None, name: str) -> list[Usd.Attribute]:
+    """The attributes that an input of a shader has its value from."""
+    entry = shader.GetInput(name) if shader else None
+    return entry.GetValueProducingAttributes() if entry else []
 
 
 def _of_shader(shader: UsdShade.Shader, prim: Usd.Prim, has_uv: bool, notes: list[str]) -> Look:

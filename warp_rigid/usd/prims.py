@@ -21,7 +21,7 @@ from warp_rigid.scene.shapes import (
     tessellation,
 )
 from warp_rigid.usd.geometry import MARK, custom_data, quaternion_of_matrix
-from warp_rigid.usd.texture_coordinates import read_uv
+from warp_rigid.usd.preview_surface import read_uv
 
 SCALE_TOLERANCE = 1e-5
 """Relative tolerance within which scales count as uniform."""
