@@ -40,6 +40,13 @@ def quaternion_of_matrix(rotation: np.ndarray) -> np.ndarray:
     return found / np.linalg.norm(found)
 
 
+def transform(rotation: np.ndarray, position: np.ndarray | float = 0.0) -> np.ndarray:
+    """Transforms (..., 4, 4) of a rotation or stretch (..., 3, 3) and a position (..., 3), `matrix @ local = world`."""
+    matrix = np.zeros((*rotation.shape[:-2], 4, 4))
+    matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = rotation, position, 1.0
+    return matrix
+
+
 def polar(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and symmetric stretch (3, 3) with `rotation @ stretch = matrix`; a reflection is in the stretch."""
     left, sizes, right = np.linalg.svd(matrix)

@@ -28,10 +28,9 @@ from warp_rigid.scene.joints.placing import local_frame, rotation_of_x_to, world
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.geometry import MARK, custom_data, gf_quaternion, quaternion_of_matrix
-from warp_rigid.usd.masses import positive, states_no_mass, with_point_mass
+from warp_rigid.usd.masses import SHARE, insert_links, positive, states_no_mass, with_point_mass
 from warp_rigid.usd.metadata import lineage
 from warp_rigid.usd.prims import described
-from warp_rigid.usd.serial_joints import SHARE, insert_links
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 
 Types = UsdPhysics.ObjectType
@@ -95,11 +94,8 @@ class JointReader:
                 self._parts[part] = whole
                 left.pop(part, None)
         for part, whole in self._parts.items():
-            prim, told = (
-                self._stage.GetPrimAtPath(part),
-                f"{self._massless[part]}: it is a part of {whole or 'the world'}",
-            )
-            self._change(prim, told)
+            prim = self._stage.GetPrimAtPath(part)
+            self._change(prim, f"{self._massless[part]}: it is a part of {whole or 'the world'}")
             with suppress(ValueError):  # its mass cannot be read, or what it is a part of was left out
                 self._add_mass(prim)
         for path, reason in left.items():
@@ -115,7 +111,9 @@ class JointReader:
                 given.Get() if given and given.HasAuthoredValue() and np.isfinite(given.Get()).all() else np.zeros(3)
             )
             point = position + rotation @ (stretch @ np.array(center, dtype=np.float64))
-            self._scene.bodies[index] = with_point_mass(self._scene.bodies[index], point, mass * self._kilogram)
+            body = self._scene.bodies[index]
+            local = rotations.rotate(rotations.inverse(np.array(body.orientation)), point - body.position)
+            self._scene.bodies[index] = with_point_mass(body, local, mass * self._kilogram)
 
     def _lighten(self, found: dict[str, Any]) -> None:
         """Give bodies with colliders, for which the file states no mass, little of that of what they are fixed to."""

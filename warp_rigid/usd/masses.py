@@ -1,4 +1,10 @@
-"""Masses of UsdPhysics: the mass of a body, its centre and its moments of inertia."""
+"""Masses of UsdPhysics: the mass of a body, its centre and its moments of inertia.
+
+MJCF files state several hinges and sliders in series between two bodies. Light bodies lie between these joints
+(`insert_links`). Each takes a share of the mass of the second body, as a point on the next joint, and of its moments of
+inertia. The sum of the masses and the common motion of all these bodies stay the same. What changes is the resistance
+to a rotation by the later joints alone, by the share.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,13 +19,15 @@ from warp_rigid.scene.scene import Body, Scene
 from warp_rigid.scene.shapes import Compound, Shape
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
-from warp_rigid.usd.geometry import polar
+from warp_rigid.usd.geometry import polar, transform
 from warp_rigid.usd.prims import Unreadable
 
 DEFAULT_DENSITY = 1000.0
 """Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
 TOLERANCE = 1e-3
 """Relative tolerance within which mass properties equal those of the shape."""
+SHARE = 1e-3
+"""Share of a body's mass and moments of inertia that each body between two of its joints takes."""
 
 
 @dataclass
@@ -37,18 +45,19 @@ class Collider:
     """Transform from its prim to the body (4, 4), with the length unit [m]; None if that is the prim of the body."""
 
 
+@dataclass
 class MassReader:
     """Reads the mass properties of dynamic bodies.
 
-    Args:
+    Attributes:
         kilogram: mass unit of the stage [kg].
         meter: length unit of the stage [m].
         change: called with a prim and a reason for a property that cannot be imported.
     """
 
-    def __init__(self, kilogram: float, meter: float, change: Callable[[Any, str], None]):
-        """Store the arguments."""
-        self._kilogram, self._meter, self._change = kilogram, meter, change
+    kilogram: float
+    meter: float
+    change: Callable[[Any, str], None]
 
     def of_colliders(
         self, prim: Usd.Prim, group: Sequence[Collider], shape: Shape, stretch: np.ndarray
@@ -67,10 +76,10 @@ class MassReader:
         api = UsdPhysics.MassAPI(prim)
         parts = np.array([self._mass_of(collider) for collider in group])
         given = positive(api.GetMassAttr())
-        mass = float(parts.sum()) if given is None else given * self._kilogram
+        mass = float(parts.sum()) if given is None else given * self.kilogram
         weights = parts if parts.sum() > 0.0 else np.array([collider.shape.volume for collider in group])
         own = combine(self._piece(c, weight) for c, weight in zip(group, weights / weights.sum(), strict=True))
-        center, per_mass = self._distribution(prim, mass, _matrix(stretch), own)
+        center, per_mass = self._distribution(prim, mass, transform(stretch), own)
         if _is_uniform(shape, center, per_mass):
             return shape, mass
         return with_distribution(shape, center, per_mass), mass
@@ -85,15 +94,15 @@ class MassReader:
         mass = positive(api.GetMassAttr())
         if mass is None or self._tensor(prim, api) is None:
             raise Unreadable(f"and no {'mass' if mass is None else 'moments of inertia'}")
-        mass *= self._kilogram
+        mass *= self.kilogram
         nothing = MassProperties(1.0, np.zeros(3), np.zeros((3, 3)))
-        return Compound([], *self._distribution(prim, mass, _matrix(stretch), nothing)), mass
+        return Compound([], *self._distribution(prim, mass, transform(stretch), nothing)), mass
 
     def _mass_of(self, collider: Collider) -> float:
         """Mass of a collider by its own mass or density [kg]."""
         if collider.mass is not None:
-            return collider.mass * self._kilogram
-        unit = self._kilogram / self._meter**3
+            return collider.mass * self.kilogram
+        unit = self.kilogram / self.meter**3
         return (DEFAULT_DENSITY if collider.density is None else collider.density * unit) * collider.shape.volume
 
     def _piece(self, collider: Collider, part: float) -> tuple[MassProperties, np.ndarray, np.ndarray]:
@@ -133,7 +142,7 @@ class MassReader:
         if not moments.any():
             return None
         if not (np.isfinite(moments).all() and (moments > 0.0).all()):
-            self._change(prim, "moments of inertia: must be > 0; those of its shape are used")
+            self.change(prim, "moments of inertia: must be > 0; those of its shape are used")
             return None
         axes = api.GetPrincipalAxesAttr().Get()
         orientation = np.array(
@@ -142,7 +151,7 @@ class MassReader:
         # The default of the schema is a quaternion of zeros.
         length = float(np.linalg.norm(orientation))
         matrix = rotations.matrix(orientation / length) if length > 0.0 else np.eye(3)
-        return self._kilogram * self._meter**2 * matrix @ np.diag(moments) @ matrix.T
+        return self.kilogram * self.meter**2 * matrix @ np.diag(moments) @ matrix.T
 
 
 def is_of_mujoco(collider: Usd.Prim) -> bool:
@@ -161,15 +170,62 @@ def states_no_mass(body: Usd.Prim) -> bool:
     return not mass.Get() and (not any(tensor) or mass.HasAuthoredValue())
 
 
-def with_point_mass(body: Body, point: np.ndarray, mass: float) -> Body:
-    """A body with a further mass [kg] at a point of the world (3,) that moves with it."""
-    turned = rotations.inverse(np.array(body.orientation))
-    arm = rotations.rotate(turned, point - body.position) - body.shape.center_of_mass
+def with_point_mass(body: Body, point: np.ndarray, mass: float, tensor: np.ndarray | float = 0.0) -> Body:
+    """A body with a further mass [kg] at a point of its frame (3,), and moments of inertia (3, 3) about it [kg m^2].
+
+    Negative ones are taken away.
+    """
+    arm = np.asarray(point) - body.shape.center_of_mass
     total = body.mass + mass
     center = body.shape.center_of_mass + mass / total * arm
-    tensor = body.shape.inertia * (body.mass / body.shape.volume) + body.mass * mass / total * steiner(arm)
-    shape = with_distribution(body.shape, center, tensor / total)
+    inertia = _inertia_of(body) + tensor + body.mass * mass / total * steiner(arm)
+    shape = with_distribution(body.shape, center, inertia / total)
     return replace(body, shape=shape, mass=total, linear_velocity=velocity_at(body, center))
+
+
+def insert_links(scene: Scene, body: int, anchors: Sequence[np.ndarray], names: Sequence[str]) -> list[int]:
+    """Add bodies that connect joints in series, and take their masses from the body that the last joint holds.
+
+    Args:
+        scene: the scene.
+        body: index of the body.
+        anchors: (3,) point in the frame of the body's shape on the joint after each new body [m].
+        names: of the new bodies.
+
+    Returns:
+        Indices of the new bodies, which have the pose of the body.
+    """
+    given = scene.bodies[body]
+    links = []
+    for anchor, name in zip(anchors, names, strict=True):
+        mass, tensor = _part(scene.bodies[body], anchor)
+        scene.bodies[body] = with_point_mass(scene.bodies[body], anchor, -mass, -tensor)
+        links.append(
+            scene.add_body(
+                Compound([], anchor, tensor / mass),
+                mass=mass,
+                position=given.position,
+                orientation=given.orientation,
+                linear_velocity=velocity_at(given, anchor),
+                angular_velocity=given.angular_velocity,
+                name=name,
+            )
+        )
+    return links
+
+
+def _part(body: Body, point: np.ndarray) -> tuple[float, np.ndarray]:
+    """Mass [kg] and moments of inertia (3, 3) of a part of a body at a point of its frame."""
+    tensor, arm = _inertia_of(body), np.asarray(point) - body.shape.center_of_mass
+    least = float(np.linalg.eigvalsh(tensor)[0])
+    # A mass far outside a slender body must not take all of its smallest moment of inertia.
+    share = SHARE * min(1.0, least / (body.mass * max(float(arm @ arm), 1e-30)))
+    return share * body.mass, SHARE * tensor
+
+
+def _inertia_of(body: Body) -> np.ndarray:
+    """Moments of inertia about the centre of mass (3, 3) [kg m^2]."""
+    return body.shape.inertia * (body.mass / body.shape.volume)
 
 
 def velocity_at(body: Body, point: np.ndarray) -> tuple[float, float, float]:
@@ -201,13 +257,6 @@ def positive(attribute: Usd.Attribute) -> float | None:
     if not 0.0 < value < math.inf:
         raise Unreadable(f"{attribute.GetName()}: must be a finite number >= 0, got {value:g}")
     return float(value)
-
-
-def _matrix(stretch: np.ndarray) -> np.ndarray:
-    """A stretch (3, 3) as a transform (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = stretch
-    return matrix
 
 
 def _is_uniform(shape: Shape, center: np.ndarray, per_mass: np.ndarray) -> bool:

@@ -8,7 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from warp_rigid import rotations
 from warp_rigid.runs.recording import Recording
-from warp_rigid.usd.geometry import precise_quaternions
+from warp_rigid.usd.geometry import precise_quaternions, transform
 from warp_rigid.usd.metadata import FROM_Y_UP, first_time, is_y_up, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import matrix_of
@@ -54,8 +54,8 @@ def write_override(recording: Recording, path: Path, row: int) -> None:
         layer.startTimeCode, layer.endTimeCode = float(times[0]), float(times[-1])
         for prim_path, body in paths.items():
             then = scene.bodies[body]
-            first = _rigid(np.array(then.position)[None], np.array(then.orientation)[None])[0]
-            poses = _rigid(recording.position[:, row, body], recording.orientation[:, row, body])
+            first = _pose(then.position, then.orientation)
+            poses = _pose(recording.position[:, row, body], recording.orientation[:, row, body])
             world = matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(prim_path)))
             before = np.linalg.inv(first) @ to_scene @ world
             _animate(layer, prim_path, times, np.linalg.inv(to_scene) @ poses @ before)
@@ -73,18 +73,14 @@ def _copy_metadata(layer: Sdf.Layer, stage: Usd.Stage, source: str) -> None:
 
 def _conversion(stage: Usd.Stage, cache: UsdGeom.XformCache, root: str | None) -> np.ndarray:
     """Matrix (4, 4) from points of the stage to points of the scene, `matrix @ point`."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = meters_per_unit(stage) * (FROM_Y_UP if is_y_up(stage) else np.eye(3))
+    matrix = transform(meters_per_unit(stage) * (FROM_Y_UP if is_y_up(stage) else np.eye(3)))
     above = np.eye(4) if root is None else matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(root)))
     return matrix @ np.linalg.inv(above)
 
 
-def _rigid(position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """Matrices (n, 4, 4) of poses, `matrix @ local = world`."""
-    matrices = np.tile(np.eye(4), (len(position), 1, 1))
-    matrices[:, :3, :3] = rotations.matrix(precise_quaternions(orientation))
-    matrices[:, :3, 3] = position
-    return matrices
+def _pose(position, orientation) -> np.ndarray:
+    """Transforms (..., 4, 4) of poses."""
+    return transform(rotations.matrix(precise_quaternions(orientation)), np.asarray(position))
 
 
 def _animate(layer: Sdf.Layer, path: str, times: np.ndarray, matrices: np.ndarray) -> None:

@@ -18,7 +18,7 @@ from warp_rigid.usd.actuators import ACTUATOR
 from warp_rigid.usd.cameras import read_camera
 from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs, linked
-from warp_rigid.usd.geometry import FOLLOWS_PATH, custom_data, polar, quaternion_of_matrix
+from warp_rigid.usd.geometry import FOLLOWS_PATH, custom_data, polar, quaternion_of_matrix, transform
 from warp_rigid.usd.instancing import OF_ORIGIN, expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
@@ -171,9 +171,7 @@ class Reader:
             if prim.IsA(UsdGeom.Camera):
                 try:
                     position, rotation, _ = self._frame(prim, self._transforms)
-                    matrix = np.eye(4)
-                    matrix[:3, :3], matrix[:3, 3] = rotation, position
-                    camera = read_camera(prim, matrix, self.meter, middle, self.change)
+                    camera = read_camera(prim, transform(rotation, position), self.meter, middle, self.change)
                     self.cameras[str(prim.GetPath())] = with_body_index(camera, [body.name for body in scene.bodies])
                 except ValueError as error:
                     self.leave_out(prim.GetPath(), str(error))
