@@ -12,6 +12,8 @@ import subprocess
 import sys
 import tempfile
 import warnings
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -22,7 +24,6 @@ from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.scene import Scene
 from warp_rigid.usd import limited
 from warp_rigid.usd.load import import_usd
-from warp_rigid.usd.robot_features import name_left_out, without_mass
 
 CONVERTERS = {".xml": "mujoco_usd_converter", ".mjcf": "mujoco_usd_converter", ".urdf": "urdf_usd_converter"}
 """Programs by the suffix of the file."""
@@ -41,6 +42,16 @@ PACKAGE = re.compile(r"""package://([^/"'\s]+)/""")
 """A package in the address of a mesh, as in package://my_robot/meshes/arm.stl."""
 MASKED = re.compile(r"\b(contype|conaffinity)\b|<(include|model|attach)\b")
 """What an MJCF file contains that has masks, or refers to another file that may have some."""
+LEFT_OUT = {
+    "mujoco_usd_converter": (("tendons", "tendon/*"), ("sensors", "sensor/*"), ("equality constraints", "equality/*")),
+    "urdf_usd_converter": (
+        ("mimic joints", "joint[mimic]"), ("transmissions", "transmission"), ("sensors", "sensor"),
+        ("sensors", "gazebo/sensor"),
+    ),
+}  # fmt: skip
+"""By the program of a format: kinds of features that the engine does not simulate, and the places of their elements."""
+BEHIND_JOINTS = ("connect", "weld")
+"""Equality constraints that become joints."""
 NOT_FOUND = "package {} is neither around the file nor in ROS_PACKAGE_PATH: its meshes are missing"
 
 
@@ -86,13 +97,13 @@ def import_robot(
                 raise ValueError(f"{path}: {str(error).replace(folder, '')}") from None
     if not self_collision and _filter_mechanisms(scene):
         findings.append(ImportFinding(path.name, "changed", "bodies of the same mechanism do not collide"))
-    if massless := without_mass(path):
+    if massless := _without_mass(path):
         reason = f"links of mass 0 get a mass, a small one where they are fixed to another: {', '.join(massless)}"
         findings.append(ImportFinding(path.name, "changed", reason))
         warnings.warn(f"{path}: {reason}", stacklevel=2)
     report = scene.import_report
     assert report is not None
-    named = name_left_out(path, report.findings)
+    named = _name_left_out(path, report.findings)
     report = replace(report, file=str(path), findings=(*findings, *named, *report.findings), files=(str(path),))
     scene.import_report = report
     report.tell(strict, stacklevel=2)
@@ -218,3 +229,62 @@ def _main_file(path: Path, folder: str) -> Path:
     """The layer of a conversion that the others belong to."""
     layers = sorted(Path(folder).glob("*.usd*"))
     return next((layer for layer in layers if layer.stem == path.stem), layers[0])
+
+
+def _name_left_out(path: Path, findings: Iterable[ImportFinding]) -> list[ImportFinding]:
+    """One finding for each kind of feature that is not simulated, with the names that the file gives.
+
+    Args:
+        path: an MJCF or URDF file.
+        findings: what was left out of its conversion, which tells the motors apart from the servos that are imported.
+    """
+    named: dict[str, list[str]] = {}
+    for root in _included(path, set()):
+        for kind, place in LEFT_OUT[CONVERTERS[path.suffix.lower()]]:
+            for element in root.findall(place):
+                if element.tag not in BEHIND_JOINTS:
+                    named.setdefault(kind, []).append(_name(element))
+    for finding in findings:
+        if finding.reason.startswith("MjcActuator"):
+            named.setdefault("motors", []).append(finding.path.rpartition("/")[2])
+    return [
+        ImportFinding(path.name, "left out", f"{kind}: {', '.join(dict.fromkeys(names))}")
+        for kind, names in named.items()
+    ]
+
+
+def _without_mass(path: Path) -> list[str]:
+    """Names of the links of a URDF file that state a mass of 0 and have a collider, which get a mass."""
+    if path.suffix.lower() != ".urdf":
+        return []
+    links = (link for root in _included(path, set()) for link in root.findall("link[collision]"))
+    return [_name(link) for link in links if _states_no_mass(link)]
+
+
+def _states_no_mass(link: ElementTree.Element) -> bool:
+    mass = link.find("inertial/mass")
+    try:
+        return mass is not None and float(mass.get("value", "")) == 0.0
+    except ValueError:
+        return False
+
+
+def _included(path: Path, seen: set[Path]) -> Iterator[ElementTree.Element]:
+    """The roots of a file and of those that it includes; the converter reports those that cannot be read."""
+    seen.add(path)
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (ElementTree.ParseError, OSError):
+        return
+    yield root
+    for element in root.iter("include"):
+        included = path.parent / element.get("file", "")
+        if included not in seen and included.is_file():
+            yield from _included(included, seen)
+
+
+def _name(element: ElementTree.Element) -> str:
+    """The name of an element; without one, its kind and what it refers to, as in `joint (left, right)`."""
+    references = [value for key, value in element.attrib.items() if key.rstrip("12") in ("joint", "tendon", "site")]
+    described = f"{element.tag} ({', '.join(references)})" if references else f"{element.tag} without a name"
+    return element.get("name") or described
