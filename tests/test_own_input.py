@@ -7,7 +7,7 @@ import pytest
 import warp_rigid as wr
 from tests.usd_tools import moved, rigid, write_stage
 from warp_rigid.commands import cli
-from warp_rigid.usd.flatten import flatten_usd
+from warp_rigid.usd.instancing import flatten_usd
 
 
 @pytest.fixture

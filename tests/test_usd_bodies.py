@@ -7,7 +7,7 @@ from pxr import Gf, Usd, UsdGeom
 import warp_rigid as wr
 from tests.oracles import rotation_matrix
 from tests.usd_tools import moved, rigid, write_stage
-from warp_rigid.usd.flatten import flatten_usd
+from warp_rigid.usd.instancing import flatten_usd
 
 SPIN_DEGREES, SPEED = np.array([30.0, -60.0, 90.0]), np.array([1.0, 2.0, -0.5])
 TURNED, PLACE = (0.9, 0.1, 0.3, -0.3), np.array([1.0, -2.0, 0.5])

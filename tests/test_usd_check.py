@@ -11,7 +11,7 @@ from tests.fakes import FakeSimulator
 from tests.usd_tools import rigid, validator_errors, write_stage
 from warp_rigid.commands import cli
 from warp_rigid.usd.check import check_usd
-from warp_rigid.usd.flatten import flatten_usd
+from warp_rigid.usd.instancing import flatten_usd
 
 INSTANCER = """
 def PointInstancer "Many" {

@@ -18,7 +18,7 @@ from tests.usd_tools import moved, rigid, write_stage
 from warp_rigid.render.film import film_from_usd
 from warp_rigid.usd import opening
 from warp_rigid.usd.check import check_usd
-from warp_rigid.usd.flatten import flatten_usd
+from warp_rigid.usd.instancing import flatten_usd
 from warp_rigid.usd.load import film_duration
 
 

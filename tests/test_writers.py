@@ -16,7 +16,7 @@ import warp_rigid as wr
 from warp_rigid.commands.terminal import check_writable
 from warp_rigid.files import archive
 from warp_rigid.files.atomic import _remove_leftovers, atomic_file
-from warp_rigid.usd.flatten import flatten_usd
+from warp_rigid.usd.instancing import flatten_usd
 
 
 @pytest.fixture(scope="module")

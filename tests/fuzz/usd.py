@@ -12,7 +12,7 @@ from tests.fuzz.harness import Target, damaged
 from warp_rigid.render.film import film_from_usd
 from warp_rigid.usd import opening
 from warp_rigid.usd.check import check_usd
-from warp_rigid.usd.flatten import flatten_usd
+from warp_rigid.usd.instancing import flatten_usd
 from warp_rigid.usd.load import film_duration
 
 opening._EXAMINER.start()  # the process that examines files is no doing of a case

@@ -36,7 +36,7 @@ def flatten_command(
     target: Annotated[str, typer.Argument(help="File to write: .usdc, .usda or .usd.")],
 ) -> int:
     """Expand each PointInstancer into one prim per instance, for programs that do not support instancers."""
-    from warp_rigid.usd.flatten import flatten_usd
+    from warp_rigid.usd.instancing import flatten_usd
 
     count = flatten_usd(source, target)
     say(f"wrote {target}: {count} instances")

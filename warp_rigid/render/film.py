@@ -310,8 +310,8 @@ def _read_body(prim, frames):
     """Read a single body in the same form; its parts that are drawn are joined to one mesh."""
     from pxr import Usd, UsdGeom
 
-    from warp_rigid.usd.prims import matrix_of, triangles_of
     from warp_rigid.usd.preview_surface import uv_and_image
+    from warp_rigid.usd.prims import matrix_of, triangles_of
 
     vertices, faces, count, moving = [], [], 0, {}
     coordinates, image = [], None

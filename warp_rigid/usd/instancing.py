@@ -1,10 +1,16 @@
 """Expansion of PointInstancers to Xforms, for readers such as physics parsers that ignore instancers."""
 
+from pathlib import Path
+
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
+from warp_rigid.files.atomic import check_unread
+from warp_rigid.files.mesh_files import USD_SUFFIXES
 from warp_rigid.usd.examination import MAX_PRIMS
 from warp_rigid.usd.geometry import MARK, polar
+from warp_rigid.usd.opening import convert_errors, open_stage
+from warp_rigid.usd.specs import export_layer
 
 VELOCITY, SPIN = f"{MARK}:velocity", f"{MARK}:angularVelocity"
 """Attributes of an instance: its velocities in the frame of the instancer [1/s, degrees/s]."""
@@ -13,6 +19,46 @@ OF_ORIGIN = f"{MARK}:velocityOfOrigin"
 
 MAX_NESTED = 100
 """Maximum nesting of instancers within prototypes of instancers."""
+
+
+def flatten_usd(source, target) -> int:
+    """Copy a file and replace each PointInstancer by one Xform per instance, including its motion.
+
+    Args:
+        source: the file to read.
+        target: the file to write: .usd, .usda or .usdc.
+
+    Returns:
+        The number of instances.
+
+    Raises:
+        FileNotFoundError: The source does not exist.
+        ValueError: The source is not a USD file, its number of instances changes over time, or the target has another
+            suffix or is a file that is read.
+        OSError: The target cannot be written.
+    """
+    source, target = Path(source), Path(target)
+    if target.suffix not in USD_SUFFIXES or target.suffix == ".usdz":
+        raise ValueError(f"{target}: must end in .usd, .usda or .usdc")
+    stage = open_stage(source)
+    check_unread([target], [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
+    with convert_errors(source):
+        # Equal rates keep USD from scaling the times of the session layer.
+        stage.GetSessionLayer().timeCodesPerSecond = stage.GetTimeCodesPerSecond()
+        stage.SetEditTarget(stage.GetSessionLayer())
+        times = sorted(
+            {
+                time
+                for prim in stage.Traverse()
+                if prim.IsA(UsdGeom.PointInstancer)
+                for attribute in prim.GetAttributes()
+                for time in attribute.GetTimeSamples()
+            }
+        )
+        moments = [Usd.TimeCode.Default(), *(Usd.TimeCode(time) for time in times)]
+        count = expand_instancers(stage.GetPseudoRoot(), moments)
+    export_layer(stage.Flatten(addSourceFileComment=False), target)
+    return count
 
 
 def expand_instancers(root: Usd.Prim, times: list[Usd.TimeCode]) -> int:
