@@ -7,13 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom
 
 from warp_rigid.render.framing import camera_directions, fit_camera, place_at_body, shifted
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.camera import NARROWEST, WIDEST, Camera, camera_of_text
 from warp_rigid.usd.geometry import MARK, custom_data
-from warp_rigid.usd.specs import SampleWriter, define, set_attribute
+from warp_rigid.usd.specs import SampleWriter, define, set_attribute, set_operations
 
 NAMES = Sdf.ValueTypeNames
 APERTURE = 20.955
@@ -71,9 +71,8 @@ class CameraWriter:
         camera = shifted(self._camera, offset)
         if camera.body is not None:
             _, reach = self._placed_at(0, self._film.position[0], self._film.orientation[0])
-            move = set_attribute(self._prim, "xformOp:translate", NAMES.Double3, Gf.Vec3d(*offset.tolist()))
-            order = Vt.TokenArray([move.name, "xformOp:transform"])
-            set_attribute(self._prim, "xformOpOrder", NAMES.TokenArray, order, uniform=True)
+            shift = NAMES.Double3, Gf.Vec3d(*offset.tolist())
+            set_operations(self._prim, {"translate": shift, "transform": (NAMES.Matrix4d, None)})
         elif camera.look_at is not None and camera.distance is not None:
             reach = camera.distance
             place_prim(self._prim, np.array(camera.look_at) + reach * camera_directions(camera)[0], camera)
@@ -144,8 +143,7 @@ def read_camera(
 
 def place_prim(prim: Sdf.PrimSpec, position: np.ndarray, camera: Camera) -> None:
     """Set the transform of a prim that looks along its own -z, as a camera at a position does."""
-    set_attribute(prim, "xformOp:transform", NAMES.Matrix4d, _matrix(position, camera))
-    set_attribute(prim, "xformOpOrder", NAMES.TokenArray, Vt.TokenArray(["xformOp:transform"]), uniform=True)
+    set_operations(prim, {"transform": (NAMES.Matrix4d, _matrix(position, camera))})
 
 
 def _matrix(position: np.ndarray, camera: Camera) -> Gf.Matrix4d:

@@ -10,8 +10,9 @@ from warp_rigid.files.mesh_files import USD_SUFFIXES
 from warp_rigid.usd.examination import MAX_PRIMS
 from warp_rigid.usd.geometry import MARK, polar
 from warp_rigid.usd.opening import convert_errors, open_stage
-from warp_rigid.usd.specs import export_layer
+from warp_rigid.usd.specs import define, export_layer, set_attribute, set_operations
 
+NAMES = Sdf.ValueTypeNames
 VELOCITY, SPIN = f"{MARK}:velocity", f"{MARK}:angularVelocity"
 """Attributes of an instance: its velocities in the frame of the instancer [1/s, degrees/s]."""
 OF_ORIGIN = f"{MARK}:velocityOfOrigin"
@@ -162,8 +163,7 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
     motion = {name: values for name, attribute in given.items() if (values := _values(attribute, times[0]))}
     motion = {name: values for name, values in motion.items() if len(values) == len(indices)}
     with Sdf.ChangeBlock():
-        parent = Sdf.CreatePrimInLayer(layer, group)
-        parent.specifier, parent.typeName = Sdf.SpecifierDef, "Xform"
+        parent = define(layer, group, "Xform")
         _set_matrix(parent, [outer], times[:1])
         for index in np.flatnonzero(visible).tolist():
             spec = Sdf.PrimSpec(parent, f"instance_{index:0{width}d}", Sdf.SpecifierDef, "Xform")
@@ -172,11 +172,10 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
             inner.referenceList.prependedItems = [Sdf.Reference("", prototypes[indices[index]])]
             inner.SetInfo("displayName", f"{prim.GetName()}_{index}")
             if colors is not None:
-                hue = Sdf.AttributeSpec(spec, "primvars:displayColor", Sdf.ValueTypeNames.Color3fArray)
-                hue.default = Vt.Vec3fArray([colors[index]])
-                hue.SetInfo("interpolation", "constant")
+                color = Vt.Vec3fArray([colors[index]])
+                set_attribute(spec, "primvars:displayColor", NAMES.Color3fArray, color, interpolation="constant")
             for name, values in motion.items():
-                Sdf.AttributeSpec(spec, name, Sdf.ValueTypeNames.Vector3f).default = values[index]
+                set_attribute(spec, name, NAMES.Vector3f, values[index])
     prim.SetActive(False)
     return int(visible.sum())
 
@@ -189,13 +188,10 @@ def _transforms(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode):
 
 
 def _set_matrix(spec: Sdf.PrimSpec, matrices: list[Gf.Matrix4d], times: list[Usd.TimeCode]) -> None:
-    attribute = Sdf.AttributeSpec(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
-    attribute.default = matrices[0]
+    (attribute,) = set_operations(spec, {"transform": (NAMES.Matrix4d, matrices[0])})
     for time, matrix in zip(times, matrices, strict=True):
         if time.IsNumeric() and not time.IsEarliestTime():
             spec.layer.SetTimeSample(attribute.path, time.GetValue(), matrix)
-    order = Sdf.AttributeSpec(spec, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform)
-    order.default = Vt.TokenArray(["xformOp:transform"])
 
 
 def _values(attribute: Usd.Attribute, time: Usd.TimeCode):
@@ -215,8 +211,8 @@ def _set_velocities(root: Usd.Prim, time: Usd.TimeCode) -> None:
         for path, velocities in found.items():
             spec = Sdf.CreatePrimInLayer(layer, path)
             for name, value in zip(("physics:velocity", "physics:angularVelocity"), velocities, strict=True):
-                Sdf.AttributeSpec(spec, name, Sdf.ValueTypeNames.Vector3f).default = Gf.Vec3f(*value.tolist())
-            Sdf.AttributeSpec(spec, OF_ORIGIN, Sdf.ValueTypeNames.Bool).default = True
+                set_attribute(spec, name, NAMES.Vector3f, Gf.Vec3f(*value.tolist()))
+            set_attribute(spec, OF_ORIGIN, NAMES.Bool, True)
 
 
 def _carried(root: Usd.Prim) -> list[Usd.Prim]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Vt
+from pxr import Gf, Sdf, Vt
 
 from warp_rigid import rotations
 from warp_rigid.render.appearance import bound_corners, corner_normals
@@ -18,7 +18,7 @@ from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
 from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.materials import write_material
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_operations, set_relationship, vec3f
 from warp_rigid.usd.stage_look import define_surface
 
 PLANE_WIDTH = 20.0
@@ -275,18 +275,13 @@ def _write_triangles(prim: Sdf.PrimSpec, shape: Shape, *apis: str) -> None:
     set_attribute(prim, "physics:approximation", Sdf.ValueTypeNames.Token, "none", uniform=True)
 
 
-def write_pose(prim: Sdf.PrimSpec, position, orientation, scale=None) -> tuple[Sdf.AttributeSpec, Sdf.AttributeSpec]:
-    """Write translation, rotation and scale of a prim; returns the attributes of translation and rotation."""
+def write_pose(prim: Sdf.PrimSpec, position, orientation, scale=None) -> list[Sdf.AttributeSpec]:
+    """Write translation, rotation and scale of a prim; returns their attributes."""
     names = Sdf.ValueTypeNames
-    place = Vt.Vec3dArray.FromNumpy(np.asarray(position, dtype=np.float64).reshape(1, 3))[0]
-    operations = ["xformOp:translate", "xformOp:orient"]
-    made = (
-        set_attribute(prim, operations[0], names.Double3, place),
-        set_attribute(prim, operations[1], names.Quatd, Vt.QuatdArray.FromNumpy(precise_quaternions([orientation]))[0]),
-    )
+    operations = {
+        "translate": (names.Double3, Gf.Vec3d(*np.asarray(position, dtype=np.float64).tolist())),
+        "orient": (names.Quatd, Vt.QuatdArray.FromNumpy(precise_quaternions([orientation]))[0]),
+    }
     if scale is not None:
-        factors = Vt.Vec3dArray.FromNumpy(np.asarray(scale, dtype=np.float64).reshape(1, 3))[0]
-        set_attribute(prim, "xformOp:scale", names.Double3, factors)
-        operations.append("xformOp:scale")
-    set_attribute(prim, "xformOpOrder", names.TokenArray, Vt.TokenArray(operations), uniform=True)
-    return made
+        operations["scale"] = names.Double3, Gf.Vec3d(*np.asarray(scale, dtype=np.float64).tolist())
+    return set_operations(prim, operations)

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom
 
 from warp_rigid import rotations
 from warp_rigid.runs.recording import Recording
@@ -12,11 +12,7 @@ from warp_rigid.usd.geometry import precise_quaternions, transform
 from warp_rigid.usd.metadata import FROM_Y_UP, first_time, is_y_up, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import matrix_of
-from warp_rigid.usd.specs import define, export_layer, set_attribute
-
-OPERATION = "xformOp:transform:warp_rigid"
-RESET = "!resetXformStack!"
-"""Token by which a prim ignores the transforms above it: the samples are poses in the world of the stage."""
+from warp_rigid.usd.specs import define, export_layer, set_operations
 
 
 def write_override(recording: Recording, path: Path, row: int) -> None:
@@ -84,11 +80,10 @@ def _pose(position, orientation) -> np.ndarray:
 
 
 def _animate(layer: Sdf.Layer, path: str, times: np.ndarray, matrices: np.ndarray) -> None:
-    """Override the transform of a prim by samples, and by the first of them as the default."""
+    """Override the transform of a prim by samples in the world of the stage, and by the first as the default."""
     prim = define(layer, path, specifier=Sdf.SpecifierOver)
     values = [Gf.Matrix4d(matrix.T.tolist()) for matrix in matrices]
-    attribute = set_attribute(prim, OPERATION, Sdf.ValueTypeNames.Matrix4d, values[0])
+    first = Sdf.ValueTypeNames.Matrix4d, values[0]
+    (attribute,) = set_operations(prim, {"transform:warp_rigid": first}, reset=True)
     for time, value in zip(times.tolist(), values, strict=True):
         layer.SetTimeSample(attribute.path, time, value)
-    order = Vt.TokenArray([RESET, OPERATION])
-    set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)

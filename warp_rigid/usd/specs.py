@@ -120,6 +120,19 @@ def set_attribute(
     return attribute
 
 
+def set_operations(
+    prim: Sdf.PrimSpec, operations: dict[str, tuple[Sdf.ValueTypeName, Any]], *, reset: bool = False
+) -> list[Sdf.AttributeSpec]:
+    """Set the operations of a prim's transform, types and values by their names; returns their attributes.
+
+    With `reset` the prim ignores the transforms above it.
+    """
+    made = [set_attribute(prim, f"xformOp:{name}", *value) for name, value in operations.items()]
+    order = ["!resetXformStack!"] * reset + [attribute.name for attribute in made]
+    set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Vt.TokenArray(order), uniform=True)
+    return made
+
+
 def vec3f(values: Any) -> Vt.Vec3fArray:
     """Vectors (n, 3) as an array of USD in single precision."""
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))

@@ -27,6 +27,7 @@ from warp_rigid.usd.specs import (
     reload_layer,
     save_layer,
     set_attribute,
+    set_operations,
     stage_metadata,
 )
 from warp_rigid.usd.stage_look import define_look
@@ -234,9 +235,7 @@ class UsdWriter:
         offsets = environment_offsets(len(self._rows), self._spread.spacing())
         for row, offset in zip(self._rows.tolist(), offsets.tolist(), strict=True):
             prim = layer.GetPrimAtPath(f"{WORLD}/env_{self._film.envs[row]:04d}")
-            set_attribute(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*offset))
-            order = Vt.TokenArray(["xformOp:translate"])
-            set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
+            set_operations(prim, {"translate": (Sdf.ValueTypeNames.Double3, Gf.Vec3d(*offset))})
         self._camera.place(*self._spread.moving_corners(offsets), offsets[0])
         beyond = float(np.abs(offsets - offsets[0]).max())
         for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), self._spread, beyond)):
