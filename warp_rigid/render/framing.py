@@ -256,20 +256,14 @@ class _FittedPath:
         along = self._eyes @ back
         sideways = self._eyes - along[:, None] * back
 
-        def padded(values):
-            return np.concatenate([[values[0]] * width, values, [values[-1]] * width])
+        def neighbours(values):
+            return np.lib.stride_tricks.sliding_window_view(np.pad(values, width, "edge"), 2 * width + 1)
 
-        def mean(values):
-            return np.convolve(padded(values), window, mode="valid")
-
-        def farthest(values):
-            extended = padded(values)
-            return np.max([extended[k : k + len(values)] for k in range(2 * width + 1)], axis=0)
-
-        sideways = np.stack([mean(column) for column in sideways.T], axis=1)
-        center = mean(along - self._reaches)
+        sideways = np.stack([neighbours(column) @ window for column in sideways.T], axis=1)
+        center = neighbours(along - self._reaches) @ window
         needed = [self._aim.depth(points, eye) for points, eye in zip(seen, sideways, strict=True)]
-        self._reaches = mean(farthest(np.array(needed) - center))
+        farthest = neighbours(np.array(needed) - center).max(axis=1)
+        self._reaches = neighbours(farthest) @ window
         self._eyes = sideways + (center + self._reaches)[:, None] * back
 
 
