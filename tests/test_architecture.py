@@ -31,10 +31,9 @@ the layers below it. The last one is the package's own __init__.py, which collec
 """
 
 UPWARD = {
-    ("files.mesh_files", "usd.metadata"): "opens meshes in USD files",
+    ("files.mesh_files", "usd.conventions"): "opens meshes in USD files",
     ("files.mesh_files", "usd.opening"): "opens meshes in USD files",
-    ("render.film", "usd.geometry"): "draws a film that is a USD file",
-    ("render.film", "usd.metadata"): "draws a film that is a USD file",
+    ("render.film", "usd.conventions"): "draws a film that is a USD file",
     ("render.film", "usd.opening"): "draws a film that is a USD file",
     ("render.film", "usd.prims"): "draws a film that is a USD file",
     ("render.film", "usd.preview_surface"): "draws a film that is a USD file",

@@ -130,7 +130,7 @@ def _joined(parts: list[Triangles]) -> Triangles:
 def _load_usd(path: Path) -> Triangles:
     from pxr import Usd, UsdGeom
 
-    from warp_rigid.usd.metadata import is_y_up, meters_per_unit
+    from warp_rigid.usd.conventions import is_y_up, meters_per_unit
     from warp_rigid.usd.opening import open_stage
 
     stage = open_stage(path)

@@ -213,8 +213,7 @@ def film_from_usd(path) -> Film:
 def _film_of_stage(stage) -> Film:
     from pxr import UsdGeom
 
-    from warp_rigid.usd.geometry import custom_data
-    from warp_rigid.usd.metadata import time_codes
+    from warp_rigid.usd.conventions import custom_data, time_codes
 
     root = stage.GetDefaultPrim()
     envs = [prim for prim in root.GetChildren() if prim.IsA(UsdGeom.Xform)] if root else []
@@ -274,7 +273,7 @@ def _film_of_stage(stage) -> Film:
 
 def _camera_of_stage(stage) -> Camera:
     """The camera that was written with the film."""
-    from warp_rigid.usd.geometry import custom_data
+    from warp_rigid.usd.conventions import custom_data
 
     for prim in stage.GetDefaultPrim().GetChildren():
         custom = custom_data(prim)

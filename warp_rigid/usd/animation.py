@@ -16,7 +16,7 @@ from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.scene.look import Look
 from warp_rigid.scene.scene import Motion
-from warp_rigid.usd.geometry import MARK
+from warp_rigid.usd.conventions import MARK
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
 from warp_rigid.usd.stage_look import define_surface

@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 from warp_rigid.render.framing import camera_directions, fit_camera, place_at_body, shifted
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.camera import NARROWEST, WIDEST, Camera, camera_of_text
-from warp_rigid.usd.geometry import MARK, custom_data
+from warp_rigid.usd.conventions import MARK, custom_data
 from warp_rigid.usd.specs import SampleWriter, define, set_attribute, set_operations
 
 NAMES = Sdf.ValueTypeNames

@@ -7,8 +7,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
 from warp_rigid.files.atomic import check_unread
 from warp_rigid.files.mesh_files import USD_SUFFIXES
+from warp_rigid.usd.conventions import MARK, polar
 from warp_rigid.usd.examination import MAX_PRIMS
-from warp_rigid.usd.geometry import MARK, polar
 from warp_rigid.usd.opening import convert_errors, open_stage
 from warp_rigid.usd.specs import define, export_layer, set_attribute, set_operations
 

@@ -27,9 +27,8 @@ from warp_rigid.scene.joints import (
 from warp_rigid.scene.joints.placing import local_frame, rotation_of_x_to, world_frame
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
-from warp_rigid.usd.geometry import MARK, custom_data, gf_quaternion, quaternion_of_matrix
+from warp_rigid.usd.conventions import MARK, custom_data, gf_quaternion, lineage, quaternion_of_matrix
 from warp_rigid.usd.masses import SHARE, insert_links, positive, states_no_mass, with_point_mass
-from warp_rigid.usd.metadata import lineage
 from warp_rigid.usd.prims import described
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 

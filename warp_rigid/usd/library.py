@@ -15,7 +15,7 @@ from warp_rigid.scene.look import Look
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
-from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
+from warp_rigid.usd.conventions import MARK, precise_quaternions
 from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.materials import write_material
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_operations, set_relationship, vec3f
@@ -188,7 +188,7 @@ def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
 def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientation, time: float) -> Sdf.PrimSpec:
     """Write one collider at a time [s]."""
     if isinstance(shape, Plane):
-        position, orientation = frame_of_plane(shape)
+        position, orientation = _frame_of_plane(shape)
     prim = define(layer, path, "Mesh", ["PhysicsCollisionAPI", "MaterialBindingAPI"])
     scale = _write_geometry(shape, prim, time)
     write_pose(prim, position, orientation, scale)
@@ -273,6 +273,12 @@ def _write_triangles(prim: Sdf.PrimSpec, shape: Shape, *apis: str) -> None:
     prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=schemas))
     write_mesh(prim, *shape.surface(), shape.surface_uv())
     set_attribute(prim, "physics:approximation", Sdf.ValueTypeNames.Token, "none", uniform=True)
+
+
+def _frame_of_plane(plane: Plane) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of a USD plane, which is z = 0 in the frame of its prim: position and quaternion."""
+    rotation = Gf.Rotation(Gf.Vec3d(0.0, 0.0, 1.0), Gf.Vec3d(*plane.normal.tolist())).GetQuat()
+    return plane.offset * plane.normal, np.array([*rotation.GetImaginary(), rotation.GetReal()])
 
 
 def write_pose(prim: Sdf.PrimSpec, position, orientation, scale=None) -> list[Sdf.AttributeSpec]:

@@ -53,7 +53,7 @@ def film_duration(path) -> float:
         FileNotFoundError: The file does not exist.
         ValueError: It is not a USD file, or its range of time codes is not that of a film.
     """
-    from warp_rigid.usd.metadata import time_codes
+    from warp_rigid.usd.conventions import time_codes
     from warp_rigid.usd.opening import convert_errors, open_stage
 
     stage = open_stage(Path(path))

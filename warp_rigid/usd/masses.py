@@ -19,7 +19,7 @@ from warp_rigid.scene.scene import Body, Scene
 from warp_rigid.scene.shapes import Compound, Shape
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
-from warp_rigid.usd.geometry import polar, transform
+from warp_rigid.usd.conventions import polar, transform
 from warp_rigid.usd.prims import Unreadable
 
 DEFAULT_DENSITY = 1000.0

@@ -8,8 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 
 from warp_rigid import rotations
 from warp_rigid.runs.recording import Recording
-from warp_rigid.usd.geometry import precise_quaternions, transform
-from warp_rigid.usd.metadata import FROM_Y_UP, first_time, is_y_up, meters_per_unit
+from warp_rigid.usd.conventions import FROM_Y_UP, first_time, is_y_up, meters_per_unit, precise_quaternions, transform
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import matrix_of
 from warp_rigid.usd.specs import define, export_layer, set_operations

@@ -8,7 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from warp_rigid.files.usd_meshes import usd_coordinates, usd_corners
 from warp_rigid.render.textures import mean_color
 from warp_rigid.scene.look import Look
-from warp_rigid.usd.geometry import custom_data
+from warp_rigid.usd.conventions import custom_data
 
 PREVIEW = "UsdPreviewSurface"
 DIFFUSE = (0.18, 0.18, 0.18)

@@ -20,7 +20,7 @@ from warp_rigid.scene.shapes import (
     Sphere,
     tessellation,
 )
-from warp_rigid.usd.geometry import MARK, custom_data, quaternion_of_matrix
+from warp_rigid.usd.conventions import MARK, custom_data, quaternion_of_matrix
 from warp_rigid.usd.preview_surface import read_uv
 
 SCALE_TOLERANCE = 1e-5

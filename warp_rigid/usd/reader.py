@@ -16,22 +16,26 @@ from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.actuators import ACTUATOR
 from warp_rigid.usd.cameras import read_camera
-from warp_rigid.usd.field_data import fields_from_data
-from warp_rigid.usd.filters import filter_pairs, linked
-from warp_rigid.usd.geometry import FOLLOWS_PATH, custom_data, polar, quaternion_of_matrix, transform
-from warp_rigid.usd.instancing import OF_ORIGIN, expand_instancers
-from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
-from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
-from warp_rigid.usd.materials import read_material
-from warp_rigid.usd.metadata import (
+from warp_rigid.usd.conventions import (
+    FOLLOWS_PATH,
     FROM_Y_UP,
     animation_codes,
+    custom_data,
     first_time,
     is_y_up,
     kilograms_per_unit,
     lineage,
     meters_per_unit,
+    polar,
+    quaternion_of_matrix,
+    transform,
 )
+from warp_rigid.usd.field_data import fields_from_data
+from warp_rigid.usd.filters import filter_pairs, linked
+from warp_rigid.usd.instancing import OF_ORIGIN, expand_instancers
+from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
+from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
+from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.preview_surface import read_look
 from warp_rigid.usd.prims import Unreadable, convert_prim, described, matrix_of

@@ -14,8 +14,8 @@ from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, unique_name
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import CONSTANT_COLORINGS
+from warp_rigid.usd.conventions import FOLLOWS_PATH, MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.field_data import fields_to_data
-from warp_rigid.usd.geometry import FOLLOWS_PATH, MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.joint_prims import write_joint
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f

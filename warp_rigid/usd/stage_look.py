@@ -9,7 +9,7 @@ from warp_rigid.render.framing import TOWARD_LIGHT
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.look import Look
 from warp_rigid.usd.cameras import place_prim
-from warp_rigid.usd.geometry import MARK
+from warp_rigid.usd.conventions import MARK
 from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 

@@ -14,7 +14,7 @@ from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
 from warp_rigid.usd.cameras import CameraWriter
 from warp_rigid.usd.contacts import ContactMarks
-from warp_rigid.usd.geometry import MARK
+from warp_rigid.usd.conventions import MARK
 from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.options import UsdOptions
