@@ -2,13 +2,14 @@
 
 import inspect
 import logging
-import math
 import threading
 from typing import Any
 
 import numpy as np
 import viser
 from viser import _messages
+
+from warp_rigid.checks import finite_vector, number_in, one_of, shown
 
 ACCEPTED = (
     _messages.GuiUpdateMessage,
@@ -83,18 +84,12 @@ def check_camera(message: _messages.ViewerCameraMessage) -> None:
     """
     position, target = (check_point(name, getattr(message, name)) for name in ("position", "look_at"))
     check_point("up_direction", message.up_direction)
-    if len(_numbers("wxyz", message.wxyz)) != 4 or np.array_equal(position, target):
+    finite_vector("wxyz", message.wxyz, 4)
+    if np.array_equal(position, target):
         raise ValueError("camera: has no direction")
-    _numbers("camera", (message.fov, message.near, message.far))
-    if min(_numbers("image size", (message.image_height, message.image_width))) < 1:
-        raise ValueError("image size: must be at least 1")
-
-
-def _numbers(name: str, values: Any) -> Any:
-    """The values, if they are a list of numbers."""
-    if not isinstance(values, (tuple, list)) or not all(_is_number(part) for part in values):
-        raise ValueError(f"{name}: must be finite numbers, got {_short(values)}")
-    return values
+    finite_vector("camera", (message.fov, message.near, message.far))
+    for size in (message.image_height, message.image_width):
+        number_in("image size", size, 1)
 
 
 def check_update(widget: Any, updates: Any) -> None:
@@ -119,15 +114,13 @@ def check_value(widget: Any, value: Any) -> None:
         ValueError: The value is none of the options, outside the range, not finite, or of the wrong type.
     """
     if isinstance(widget, (viser.GuiDropdownHandle, viser.GuiButtonGroupHandle)):
-        if not isinstance(value, str) or value not in widget.options:
-            raise ValueError(f"{widget.label}: must be one of {', '.join(widget.options)}, got {_short(value)}")
+        one_of(widget.label, value, widget.options)
     elif isinstance(widget, viser.GuiSliderHandle):
         slack = ROUNDING * (widget.max - widget.min)
-        if not _is_number(value) or not widget.min - slack <= value <= widget.max + slack:
-            raise ValueError(f"{widget.label}: must be in [{widget.min:g}, {widget.max:g}], got {_short(value)}")
+        number_in(widget.label, value, widget.min - slack, widget.max + slack)
     elif isinstance(widget, viser.GuiCheckboxHandle):
         if not isinstance(value, bool):
-            raise ValueError(f"{widget.label}: must be true or false, got {_short(value)}")
+            raise ValueError(f"{widget.label}: must be true or false, got {shown(value)}")
     else:
         raise ValueError(f"{widget.label}: takes no value from the page")
 
@@ -138,18 +131,7 @@ def check_point(name: str, value: Any) -> np.ndarray:
     Raises:
         ValueError: It is not three finite numbers, or too far away.
     """
-    vector = isinstance(value, (tuple, list, np.ndarray)) and len(value) == 3
-    if not vector or not all(_is_number(part) and abs(part) <= FARTHEST for part in value):
-        raise ValueError(f"{name}: must be three numbers in [{-FARTHEST:g}, {FARTHEST:g}], got {_short(value)}")
-    return np.array(value, np.float64)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _short(value: Any) -> str:
-    return ascii(value)[:80]
+    return np.array([number_in(name, part, -FARTHEST, FARTHEST) for part in finite_vector(name, value)])
 
 
 def _refuse(server: viser.ViserServer, client_id: int, widget: Any, error: Exception) -> None:
