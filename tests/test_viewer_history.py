@@ -13,9 +13,9 @@ from warp_rigid.render.film import film_from_recording
 from warp_rigid.runs.recording import record
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Plane, Sphere
-from warp_rigid.viewer.branding import own_title, with_own_title
 from warp_rigid.viewer.history import LENGTH, RATE, History
 from warp_rigid.viewer.page import ground_heights, keep_above_ground, look_from
+from warp_rigid.viewer.server import own_title, with_own_title
 from warp_rigid.viewer.session import Session
 
 

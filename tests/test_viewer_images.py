@@ -12,9 +12,8 @@ from tests.textured_scene import MAP, textured_scene
 from tests.usd_tools import start_of
 from warp_rigid.render.film import film_from_recording
 from warp_rigid.scene.look import Look
-from warp_rigid.viewer.instances import Instances
+from warp_rigid.viewer.instances import Instances, textured_mesh
 from warp_rigid.viewer.page import opacity_of_walls, start_server, stop_server
-from warp_rigid.viewer.textured_mesh import textured_mesh
 
 
 def film_with_images(folder, size=(8, 4)):

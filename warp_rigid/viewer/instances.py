@@ -4,12 +4,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from warp_rigid.render.film import DrawnMesh, Film
+from warp_rigid.render.textures import image_filter, read_image
 from warp_rigid.viewer.page import add_ground, opacity_of_walls
-from warp_rigid.viewer.textured_mesh import textured_mesh
 
 FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
+LARGEST_SIDE = 1024
+"""Width and height to which larger images are reduced for the page [pixel]."""
 
 
 @dataclass
@@ -162,6 +165,35 @@ def creased(mesh: DrawnMesh) -> tuple[np.ndarray, np.ndarray]:
     rows = np.concatenate([corners, np.round(mesh.normals.reshape(-1, 3), 3)], axis=1)
     unique, index = np.unique(rows, axis=0, return_inverse=True)
     return unique[:, :3].astype(np.float32), index.reshape(-1, 3).astype(np.uint32)
+
+
+def textured_mesh(mesh: DrawnMesh, path: str, color: np.ndarray) -> bytes | None:
+    """A mesh with an image as binary glTF; None, with a warning, if the image cannot be read.
+
+    Args:
+        mesh: with texture coordinates.
+        path: of the image.
+        color: (3,) uint8, of the triangles without texture coordinates.
+    """
+    image = read_image(path)
+    if image is None or mesh.uv is None:
+        return None
+    image.thumbnail((LARGEST_SIDE, LARGEST_SIDE), image_filter())
+    has_uv = np.isfinite(mesh.uv).all(axis=(1, 2))
+    scene = trimesh.Scene()
+    for chosen, look in ((has_uv, {"baseColorTexture": image}), (~has_uv, {"baseColorFactor": color})):
+        if chosen.any():
+            material = trimesh.visual.material.PBRMaterial(**look, metallicFactor=0.0, roughnessFactor=1.0)
+            scene.add_geometry(_corners_merged(mesh, chosen, material))
+    return scene.export(file_type="glb")
+
+
+def _corners_merged(mesh: DrawnMesh, chosen: np.ndarray, material):
+    """Some triangles, with a vertex for each distinct set of place, normal and texture coordinates."""
+    corners = [mesh.vertices[mesh.faces[chosen]], np.round(mesh.normals[chosen], 3), np.nan_to_num(mesh.uv[chosen])]
+    rows, index = np.unique(np.concatenate(corners, axis=2).reshape(-1, 8), axis=0, return_inverse=True)
+    visual = trimesh.visual.TextureVisuals(uv=rows[:, 6:], material=material)
+    return trimesh.Trimesh(rows[:, :3], index.reshape(-1, 3), visual=visual, process=False)
 
 
 def bytes_of_light(color: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from warp_rigid.render.framing import event_end
 from warp_rigid.rotations import continuous_signs
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import camera_of_text, with_body_index
-from warp_rigid.viewer.branding import own_title
 from warp_rigid.viewer.instances import Instances
 from warp_rigid.viewer.page import (
     add_labels,
@@ -23,6 +22,7 @@ from warp_rigid.viewer.page import (
     start_server,
     stop_server,
 )
+from warp_rigid.viewer.server import own_title
 
 PERIOD = 1.0 / 30.0
 """Time between updates of the page [s]."""

@@ -2,8 +2,11 @@
 
 import contextlib
 import errno
+import functools
+import gzip
 import http
 import logging
+import re
 import socket
 import threading
 
@@ -13,7 +16,6 @@ from websockets import Headers
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from warp_rigid.viewer.branding import with_own_title
 from warp_rigid.viewer.controls import accept_checked_messages
 from warp_rigid.viewer.guard import Guard
 
@@ -23,6 +25,13 @@ MOST_REPORTED = 20
 """Kinds of refused connections that are logged; a page that keeps trying must not fill the log."""
 PRIVACY = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"}
 """Headers of every answer: they keep the address, which contains the token, from other sites and from caches."""
+ICON = (
+    "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 32 32'%3E"
+    "%3Crect x='4' y='20' width='11' height='9' fill='%23e07a3f'/%3E%3Crect x='17' y='20' width='11' height='9' "
+    "fill='%233f7fbf'/%3E%3Crect x='10' y='10' width='11' height='9' fill='%23f2c14e'/%3E"
+    "%3Crect x='15' y='1' width='9' height='8' fill='%234b9e86' transform='rotate(14 19 5)'/%3E%3C/svg%3E"
+)
+"""Icon of the pages, in place of that of viser."""
 
 _STARTING = threading.Lock()
 
@@ -47,10 +56,12 @@ class CheckedServer(viser.ViserServer):
     def __init__(self, host: str, port: int):
         """Start to listen."""
         self._guard = Guard(host)
+        self._reported: set[str] = set()
+        self._is_checked = False
         logging.getLogger("websockets.server").addFilter(one_line)
-        with _STARTING, _every_request(_Checks(self._guard)) as checks:
+        with _STARTING, self._checked_requests():
             super().__init__(host=host, port=check_address(host, port), label="warp_rigid", verbose=False)
-        if not checks.installed:
+        if not self._is_checked:
             self.stop()
             raise RuntimeError(f"viser {viser.__version__}: its connections cannot be checked; viser 1.1.1 works")
         self.inputs = threading.RLock()
@@ -60,6 +71,64 @@ class CheckedServer(viser.ViserServer):
     def url(self) -> str:
         """Address of the page, with the token."""
         return self._guard.url(self.get_port())
+
+    @contextlib.contextmanager
+    def _checked_requests(self):
+        """Check the requests of the server that viser starts meanwhile: viser itself offers no hook for them."""
+        original = websockets.asyncio.server.serve
+
+        def serve(handler, *arguments, process_request=None, **options):
+            if handler.__module__.startswith("viser."):
+                self._is_checked = True
+                process_request = functools.partial(self._answered, process_request)
+            return original(handler, *arguments, process_request=process_request, **options)
+
+        websockets.asyncio.server.serve = serve
+        try:
+            yield
+        finally:
+            websockets.asyncio.server.serve = original
+
+    def _answered(self, answer, connection: ServerConnection, request: Request) -> Response | None:
+        """The answer of a function of viser's to a request, if the guard accepts it."""
+        reason = self._guard.refusal(request, connection.local_address)
+        if reason is not None:
+            return self._refuse(connection, reason)
+        response = answer(connection, self._guard.strip_token(request))
+        if response is not None:
+            response.headers.update(PRIVACY)
+            response = with_own_title(response)
+        return response
+
+    def _refuse(self, connection: ServerConnection, reason: str) -> Response:
+        if reason not in self._reported and len(self._reported) < MOST_REPORTED:
+            self._reported.add(reason)
+            log.warning("refused a connection from %s: %s", connection.remote_address[0], reason)
+        text = f"{reason}.\nOpen the address that the viewer printed when it started.\n".encode()
+        headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text)), **PRIVACY})
+        return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, text)
+
+
+def own_title(page: str) -> str:
+    """The text of one of viser's pages with another title and icon."""
+    page = page.replace("<title>Viser</title>", "<title>warp_rigid</title>", 1)
+    return re.sub(r'(rel="icon"\s+href=")[^"]*', lambda found: found[1] + ICON, page, count=1)
+
+
+def with_own_title(response: Response) -> Response:
+    """A response of viser's server; if it is the page, with another title and icon."""
+    if "text/html" not in response.headers.get("Content-Type", "") or not response.body:
+        return response
+    body = _replaced(bytes(response.body), response.headers.get("Content-Encoding") == "gzip")
+    del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(body))
+    return Response(response.status_code, response.reason_phrase, response.headers, body)
+
+
+@functools.lru_cache(maxsize=4)
+def _replaced(body: bytes, zipped: bool) -> bytes:
+    text = own_title((gzip.decompress(body) if zipped else body).decode())
+    return gzip.compress(text.encode()) if zipped else text.encode()
 
 
 def one_line(record: logging.LogRecord) -> bool:
@@ -103,53 +172,3 @@ def _is_free(family: int, address: str, port: int) -> bool:
         if error.errno in (errno.EADDRINUSE, errno.EACCES):
             return False
         raise ValueError(f"host: cannot listen on {address}: {error.strerror}") from None
-
-
-class _Checks:
-    """Puts a guard before the function that answers viser's requests."""
-
-    def __init__(self, guard: Guard):
-        self._guard = guard
-        self._reported: set[str] = set()
-        self.installed = False
-
-    def before(self, answer):
-        """The function that is called instead of `answer`."""
-
-        def process_request(connection: ServerConnection, request: Request) -> Response | None:
-            reason = self._guard.refusal(request, connection.local_address)
-            if reason is not None:
-                return self._refuse(connection, reason)
-            response = answer(connection, self._guard.strip_token(request))
-            if response is not None:
-                response.headers.update(PRIVACY)
-                response = with_own_title(response)
-            return response
-
-        self.installed = True
-        return process_request
-
-    def _refuse(self, connection: ServerConnection, reason: str) -> Response:
-        if reason not in self._reported and len(self._reported) < MOST_REPORTED:
-            self._reported.add(reason)
-            log.warning("refused a connection from %s: %s", connection.remote_address[0], reason)
-        text = f"{reason}.\nOpen the address that the viewer printed when it started.\n".encode()
-        headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text)), **PRIVACY})
-        return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, text)
-
-
-@contextlib.contextmanager
-def _every_request(checks: _Checks):
-    """Check the requests of a server that viser starts meanwhile: viser itself offers no hook for them."""
-    original = websockets.asyncio.server.serve
-
-    def serve(handler, *arguments, process_request=None, **options):
-        if not handler.__module__.startswith("viser."):
-            return original(handler, *arguments, process_request=process_request, **options)
-        return original(handler, *arguments, process_request=checks.before(process_request), **options)
-
-    websockets.asyncio.server.serve = serve
-    try:
-        yield checks
-    finally:
-        websockets.asyncio.server.serve = original
