@@ -64,12 +64,8 @@ def examine(path: str, allow: Any = None) -> None:
     Raises:
         ValueError: It is not a USD file, or it is too large or nested too deeply to be composed.
     """
-    files = Layers(allow)
     try:
-        layer = files.open(path)
-        if layer is None:
-            raise ValueError(f"{path}: not a readable USD file")
-        PrimCounter(path, files).check(layer)
+        _Examination(path, allow).check()
     except (Tf.ErrorException, UnicodeError) as error:
         raise ValueError(f"{path}: not a readable USD file: {reason_of(error)}") from None
 
@@ -81,130 +77,33 @@ def reason_of(error: Exception) -> str:
     return (found[1] if found else text)[:300]
 
 
-class Layers:
-    """Opens layers once each, after checks of the file, and reads all their values.
+class _Examination:
+    """Opens the layers of a stage once each, reads all their values, and computes an upper bound for its size.
+
+    Each prim of the files is visited once.
 
     Args:
+        path: the file.
         allow: as in `examine`.
     """
 
-    def __init__(self, allow: Any):
+    def __init__(self, path: str, allow: Any):
         """Start without layers."""
-        self._allow = allow
+        self._path, self._allow = path, allow
         self._opened: dict[str, Sdf.Layer | None] = {}
         self._read: set[str] = set()
-
-    def open(self, identifier: str) -> Sdf.Layer | None:
-        """Open a layer; None if the file does not exist.
-
-        Raises:
-            ValueError: It is not a regular file, its brackets are nested too deeply, or a template names its clips.
-        """
-        if identifier not in self._opened:
-            resolved = Ar.GetResolver().Resolve(Sdf.Layer.SplitIdentifier(identifier)[0]).GetPathString()
-            self._check_file(Ar.SplitPackageRelativePathOuter(resolved)[0])
-            _check_brackets(resolved)
-            layer = self._opened[identifier] = Sdf.Layer.FindOrOpen(identifier)
-            if layer is not None and layer.identifier not in self._read:
-                self._read.add(layer.identifier)
-                for clip in _read_values(layer):
-                    self.open(layer.ComputeAbsolutePath(clip))
-        return self._opened[identifier]
-
-    def _check_file(self, path: str) -> None:
-        """Check that a file is a regular one, and account for its size."""
-        try:
-            found = os.stat(path)
-        except OSError:
-            return  # the library reports what is missing
-        if not stat.S_ISREG(found.st_mode):
-            raise ValueError(f"{path}: must be a regular file")
-        if self._allow is not None:
-            self._allow(found.st_size)
-
-
-def _check_brackets(path: str) -> None:
-    """Check the nesting of a text file, or of the first file of a package, which is its root layer."""
-    resolver = Ar.GetResolver()
-    asset = resolver.OpenAsset(resolver.Resolve(path))
-    start = asset.Read(len(TEXT), 0) if asset is not None and asset.GetSize() >= len(TEXT) else b""
-    if start.startswith(PACKAGE) and Path(path).is_file():
-        try:
-            with zipfile.ZipFile(path) as package:
-                names = package.namelist()
-        except DAMAGED_PACKAGE as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise ValueError(f"{path}: not a readable package: {reason}") from None
-        for name in names[:1]:
-            _check_brackets(Ar.JoinPackageRelativePath([path, name]))
-    elif start == TEXT:
-        content = np.frombuffer(asset.GetBuffer(), np.uint8)
-        opening, closing = (np.isin(content, np.frombuffer(which, np.uint8)) for which in (b"([{", b")]}"))
-        depth = np.cumsum(opening.astype(np.int8) - closing.astype(np.int8), dtype=np.int32)
-        if depth.max(initial=0) > MAX_LEVELS:
-            raise ValueError(f"{path}: must have at most {MAX_LEVELS} nested brackets")
-
-
-def _read_values(layer: Sdf.Layer) -> list[str]:
-    """Read all values of a layer one after another, which finds those that take too much memory.
-
-    Returns:
-        The files of its value clips, which USD opens only when it needs a value.
-    """
-    clips: list[str] = []
-    paths: list[Sdf.Path] = []
-    layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
-    for path in paths:
-        spec = layer.GetObjectAtPath(path)
-        names = [] if spec is None else spec.ListInfoKeys()
-        if "clips" in names:
-            clips += _files_of_clips(layer, path, spec.GetInfo("clips"))
-        for name in names:
-            if name != "timeSamples":
-                _try_value(spec.GetInfo, name)
-        for time in layer.ListTimeSamplesForPath(path) if path.IsPropertyPath() else ():
-            _try_value(layer.QueryTimeSample, path, time)
-    return clips
-
-
-def _files_of_clips(layer: Sdf.Layer, path: Sdf.Path, sets: dict[str, dict[str, Any]]) -> list[str]:
-    """The files of all value clips of a prim."""
-    found = []
-    for clips in sets.values():
-        if "templateAssetPath" in clips:
-            raise ValueError(f"{layer.identifier}: {path}: templates of value clips are not supported")
-        found += [asset.path for asset in (*clips.get("assetPaths", ()), clips.get("manifestAssetPath")) if asset]
-    return found
-
-
-def _try_value(read: Any, *where: Any) -> None:
-    """Read a value; one of the wrong type is reported by the reader of the scene, where it is used."""
-    try:
-        read(*where)
-    except (*UNREADABLE, RuntimeError):
-        pass
-
-
-class PrimCounter:
-    """Computes an upper bound for the size of a composed stage, visiting each prim of the files once.
-
-    Args:
-        path: path of the file, for messages.
-        files: opens layers.
-    """
-
-    def __init__(self, path: str, files: Layers):
-        """Start without known sizes."""
-        self._path, self._files = path, files
         self._stacks: dict[str, list[Sdf.Layer]] = {}
         self._known: dict[Node, Extent] = {}
 
-    def check(self, layer: Sdf.Layer) -> None:
-        """Check that the stage of a layer can be composed.
+    def check(self) -> None:
+        """Check that the stage can be composed.
 
         Raises:
-            ValueError: It is too large or nested too deeply, or a prim refers to itself.
+            ValueError: It is no USD file, too large or nested too deeply, or a prim refers to itself.
         """
+        layer = self._open(self._path)
+        if layer is None:
+            raise ValueError(f"{self._path}: not a readable USD file")
         extent = self._follow((layer.identifier, Sdf.Path.absoluteRootPath), layer)
         limits = (
             ("prims including references", extent.prims, MAX_PRIMS),
@@ -280,7 +179,7 @@ class PrimCounter:
         if not asset:
             return node[0]
         try:
-            found = self._files.open(layer.ComputeAbsolutePath(asset))
+            found = self._open(layer.ComputeAbsolutePath(asset))
         except Tf.ErrorException:
             return None
         if found is not None and found.identifier not in self._stacks:
@@ -299,7 +198,7 @@ class PrimCounter:
             above = waiting.pop()
             for path in above.subLayerPaths:
                 try:
-                    below = self._files.open(above.ComputeAbsolutePath(path))
+                    below = self._open(above.ComputeAbsolutePath(path))
                 except Tf.ErrorException:
                     continue
                 if below is not None and below.identifier not in found:
@@ -308,6 +207,96 @@ class PrimCounter:
             if len(found) > MAX_LEVELS:
                 raise ValueError(f"{self._path}: must have at most {MAX_LEVELS} sublayers")
         return list(found.values())
+
+    def _open(self, identifier: str) -> Sdf.Layer | None:
+        """Open a layer; None if the file does not exist.
+
+        Raises:
+            ValueError: It is not a regular file, its brackets are nested too deeply, or a template names its clips.
+        """
+        if identifier not in self._opened:
+            resolved = Ar.GetResolver().Resolve(Sdf.Layer.SplitIdentifier(identifier)[0]).GetPathString()
+            self._check_file(Ar.SplitPackageRelativePathOuter(resolved)[0])
+            _check_brackets(resolved)
+            layer = self._opened[identifier] = Sdf.Layer.FindOrOpen(identifier)
+            if layer is not None and layer.identifier not in self._read:
+                self._read.add(layer.identifier)
+                for clip in _read_values(layer):
+                    self._open(layer.ComputeAbsolutePath(clip))
+        return self._opened[identifier]
+
+    def _check_file(self, path: str) -> None:
+        """Check that a file is a regular one, and account for its size."""
+        try:
+            found = os.stat(path)
+        except OSError:
+            return  # the library reports what is missing
+        if not stat.S_ISREG(found.st_mode):
+            raise ValueError(f"{path}: must be a regular file")
+        if self._allow is not None:
+            self._allow(found.st_size)
+
+
+def _check_brackets(path: str) -> None:
+    """Check the nesting of a text file, or of the first file of a package, which is its root layer."""
+    resolver = Ar.GetResolver()
+    asset = resolver.OpenAsset(resolver.Resolve(path))
+    start = asset.Read(len(TEXT), 0) if asset is not None and asset.GetSize() >= len(TEXT) else b""
+    if start.startswith(PACKAGE) and Path(path).is_file():
+        try:
+            with zipfile.ZipFile(path) as package:
+                names = package.namelist()
+        except DAMAGED_PACKAGE as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise ValueError(f"{path}: not a readable package: {reason}") from None
+        for name in names[:1]:
+            _check_brackets(Ar.JoinPackageRelativePath([path, name]))
+    elif start == TEXT:
+        content = np.frombuffer(asset.GetBuffer(), np.uint8)
+        opening, closing = (np.isin(content, np.frombuffer(which, np.uint8)) for which in (b"([{", b")]}"))
+        depth = np.cumsum(opening.astype(np.int8) - closing.astype(np.int8), dtype=np.int32)
+        if depth.max(initial=0) > MAX_LEVELS:
+            raise ValueError(f"{path}: must have at most {MAX_LEVELS} nested brackets")
+
+
+def _read_values(layer: Sdf.Layer) -> list[str]:
+    """Read all values of a layer one after another, which finds those that take too much memory.
+
+    Returns:
+        The files of its value clips, which USD opens only when it needs a value.
+    """
+    clips: list[str] = []
+    paths: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+    for path in paths:
+        spec = layer.GetObjectAtPath(path)
+        names = [] if spec is None else spec.ListInfoKeys()
+        if "clips" in names:
+            clips += _files_of_clips(layer, path, spec.GetInfo("clips"))
+        for name in names:
+            if name != "timeSamples":
+                _try_value(spec.GetInfo, name)
+        for time in layer.ListTimeSamplesForPath(path) if path.IsPropertyPath() else ():
+            _try_value(layer.QueryTimeSample, path, time)
+    return clips
+
+
+def _files_of_clips(layer: Sdf.Layer, path: Sdf.Path, sets: dict[str, dict[str, Any]]) -> list[str]:
+    """The files of all value clips of a prim."""
+    found = []
+    for clips in sets.values():
+        if "templateAssetPath" in clips:
+            raise ValueError(f"{layer.identifier}: {path}: templates of value clips are not supported")
+        found += [asset.path for asset in (*clips.get("assetPaths", ()), clips.get("manifestAssetPath")) if asset]
+    return found
+
+
+def _try_value(read: Any, *where: Any) -> None:
+    """Read a value; one of the wrong type is reported by the reader of the scene, where it is used."""
+    try:
+        read(*where)
+    except (*UNREADABLE, RuntimeError):
+        pass
 
 
 def _variants(specs: list[Sdf.PrimSpec]) -> list[list[Sdf.Path]]:
