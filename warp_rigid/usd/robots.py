@@ -42,6 +42,21 @@ PACKAGE = re.compile(r"""package://([^/"'\s]+)/""")
 """A package in the address of a mesh, as in package://my_robot/meshes/arm.stl."""
 MASKED = re.compile(r"\b(contype|conaffinity)\b|<(include|model|attach)\b")
 """What an MJCF file contains that has masks, or refers to another file that may have some."""
+LIST_MASKS = """
+import json, sys
+import mujoco
+
+def masks(body):
+    for geom in body.geoms:
+        if geom.contype or geom.conaffinity:
+            yield geom.name, int(geom.contype), int(geom.conaffinity)
+    for child in body.bodies:
+        yield from masks(child)
+
+print(json.dumps(list(masks(mujoco.MjSpec.from_file(sys.argv[1]).worldbody))))
+"""
+"""Program that prints name, contype and conaffinity (masks of MuJoCo) of each geom that can touch others, depth first,
+as the converter writes them, which leaves the masks out. It runs in the environment of the converter."""
 LEFT_OUT = {
     "mujoco_usd_converter": (("tendons", "tendon/*"), ("sensors", "sensor/*"), ("equality constraints", "equality/*")),
     "urdf_usd_converter": (
@@ -176,18 +191,51 @@ def _keep_masks(path: Path, folder: str) -> list[ImportFinding]:
     """Add the masks of an MJCF file to its conversion, and return what cannot be added."""
     if path.suffix.lower() == ".urdf" or not MASKED.search(path.read_text(errors="replace")):
         return []
-    from warp_rigid.usd.masks import LIST_MASKS, add_masks
-
     program = shutil.which(CONVERTERS[path.suffix.lower()], path=search_path()) or ""
     python = Path(program).resolve().parent / "python"
     try:
         done = _run([str(python), "-c", LIST_MASKS, str(path.absolute())], folder)
         done.check_returncode()
-        add_masks(_main_file(path, folder), json.loads(done.stdout.splitlines()[-1]))
+        _add_masks(_main_file(path, folder), json.loads(done.stdout.splitlines()[-1]))
     except (OSError, subprocess.SubprocessError, ValueError, IndexError) as error:
         reason = str(error).splitlines()[0] if isinstance(error, ValueError) else f"{python} has no MuJoCo"
         return [ImportFinding(path.name, "left out", f"contype and conaffinity: {reason}: all bodies touch each other")]
     return []
+
+
+def _add_masks(file: Path, masks: list[tuple[str, int, int]]) -> None:
+    """Write one collision group for each pair of masks to a converted file.
+
+    Two geoms touch if the contype of one and the conaffinity of the other have a common bit.
+
+    Args:
+        file: the layer that the converter wrote.
+        masks: of the geoms with a collider, in the order of the file.
+
+    Raises:
+        ValueError: The file has other colliders.
+    """
+    from pxr import Usd, UsdPhysics
+
+    from warp_rigid.usd.masses import is_of_mujoco
+    from warp_rigid.usd.opening import open_stage
+
+    stage = open_stage(file)
+    prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
+    colliders = [prim for prim in prims if is_of_mujoco(prim)]
+    names = [{prim.GetName(), prim.GetDisplayName()} for prim in colliders]
+    if len(masks) != len(names) or any(mask[0] and mask[0] not in own for mask, own in zip(masks, names, strict=True)):
+        raise ValueError("the converter writes other colliders")
+    members: dict[tuple[int, int], list[str]] = {}
+    for prim, (_, kind, affinity) in zip(colliders, masks, strict=True):
+        members.setdefault((kind, affinity), []).append(str(prim.GetPath()))
+    paths = {mask: f"/warp_rigid_masks/group_{index}" for index, mask in enumerate(members)}
+    for mask, path in paths.items():
+        group = UsdPhysics.CollisionGroup.Define(stage, path)
+        group.GetCollidersCollectionAPI().CreateIncludesRel().SetTargets(members[mask])
+        apart = [other for (kind, affinity), other in paths.items() if not (kind & mask[1] or mask[0] & affinity)]
+        group.CreateFilteredGroupsRel().SetTargets(apart)
+    stage.GetRootLayer().Save()
 
 
 def _packages(path: Path) -> dict[str, Path | None]:
