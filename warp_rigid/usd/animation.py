@@ -183,14 +183,12 @@ def _groups(film: Recording, looks: dict[int, Look]) -> dict[str, np.ndarray]:
     """Bodies grouped by surface, motion and look with an image, by prim name."""
     images = {look: number for number, look in enumerate(dict.fromkeys(looks.values()), 1) if look.image}
     image = np.array([images.get(looks[body], 0) if body in looks else 0 for body in range(len(film.motion))])
+    keys = np.stack([film.surface, film.motion, image], axis=1)
     groups = {}
-    for index in range(len(film.surfaces)):
-        for motion in Motion:
-            alike = (film.surface == index) & (film.motion == motion)
-            for number in np.unique(image[alike]):
-                bodies = np.flatnonzero(alike & (image == number))
-                name = Tf.MakeValidIdentifier(film.names[bodies[0]])
-                groups[name if name not in groups else f"{name}_{bodies[0]}"] = bodies
+    for key in np.unique(keys, axis=0):
+        bodies = np.flatnonzero((keys == key).all(axis=1))
+        name = Tf.MakeValidIdentifier(film.names[bodies[0]])
+        groups[name if name not in groups else f"{name}_{bodies[0]}"] = bodies
     return groups
 
 
