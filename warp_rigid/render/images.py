@@ -54,7 +54,7 @@ def save_picture(film: Film, path, frame: int = -1, width: int | None = None, he
         raise ValueError(f"frame: must be from 0 to {film.num_frames - 1}, or -1, got {frame}")
     frame %= film.num_frames
     studio = _Studio(film, [frame], width, height)
-    _save(_arranged(studio.draw(frame)), path, format="PNG")
+    _save_png(_tiled(studio.draw(frame)), path)
 
 
 def save_contact_sheet(film: Film, path, count: int = 8) -> None:
@@ -78,7 +78,7 @@ def save_contact_sheet(film: Film, path, count: int = 8) -> None:
         for image in panels:
             _write(image, f"{frame / film.fps:.2f} s", (10, 8), "la")
     columns = len(frames) if len(drawn[0]) > 1 else math.ceil(len(frames) / 2)
-    _save(_tiled([image for row in zip(*drawn, strict=True) for image in row], columns), path, format="PNG")
+    _save_png(_tiled([image for row in zip(*drawn, strict=True) for image in row], columns), path)
 
 
 def save_film(film: Film, path, width: int | None = None, height: int | None = None, on_frame: Progress = None) -> None:
@@ -159,7 +159,7 @@ def _frames(film: Film, stride: int, width: int, height: int, on_frame: Progress
     frames = range(0, event_end(film) + 1, stride)
     studio = _Studio(film, frames, width, height)
     for done, frame in enumerate(frames, start=1):
-        yield _arranged(studio.draw(frame))
+        yield _tiled(studio.draw(frame))
         if on_frame is not None:
             on_frame(done, len(frames))
 
@@ -219,16 +219,11 @@ def _panel_size(film: Film, whole: tuple[int, int], width: int | None, height: i
     return width, height or round(width * whole[1] / whole[0])
 
 
-def _arranged(panels: list):
-    """Combine the panels of a frame to one image."""
-    return _tiled(panels, _columns(len(panels)))
-
-
-def _tiled(images: list, columns: int):
-    """Tile images of equal size, row by row."""
+def _tiled(images: list, columns: int | None = None):
+    """Tile images of equal size, row by row; without a number of columns as the panels of a frame."""
     from PIL import Image
 
-    columns = min(columns, len(images))
+    columns = min(columns or _columns(len(images)), len(images))
     width, height = images[0].size
     rows = math.ceil(len(images) / columns)
     whole = Image.new("RGB", (width * columns, height * rows), "white")
@@ -237,6 +232,6 @@ def _tiled(images: list, columns: int):
     return whole
 
 
-def _save(image, path, **options) -> None:
+def _save_png(image, path) -> None:
     with atomic_file(path) as temporary:
-        image.save(temporary, **options)
+        image.save(temporary, format="PNG")

@@ -39,10 +39,6 @@ class History:
         """Start empty."""
         self.moments: deque[Moment] = deque()
 
-    def clear(self) -> None:
-        """Remove all frames."""
-        self.moments.clear()
-
     def add(self, time: float, sim: Any) -> None:
         """Keep the present state, unless the last moment is too recent."""
         if self.moments and time - self.moments[-1].time < 1.0 / RATE - 1e-9:

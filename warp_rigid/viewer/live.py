@@ -313,7 +313,7 @@ class LiveViewer:
 
     def _forget(self) -> None:
         """Remove the recorded seconds, for another scene or a restart."""
-        self.history.clear()
+        self.history.moments.clear()
         self._past, self._looping = None, False
         self._panel.reset_time()
 

@@ -199,11 +199,9 @@ def follow_with_pages(server: viser.ViserServer, film: Film, frame: int) -> None
 
 def look_from_page(client: viser.ClientHandle, film: Film) -> None:
     """Place the camera of an open page."""
-    size = client.camera.image_width, client.camera.image_height
-    usable = all(isinstance(part, int | float) and math.isfinite(part) and part >= 1 for part in size)
     # A page that has reported an impossible camera keeps it.
     with contextlib.suppress(ValueError):
-        look_from(client.camera, film, *(size if usable else USUAL_SIZE))
+        look_from(client.camera, film, client.camera.image_width, client.camera.image_height)
         _placed[client] = np.array(client.camera.position)
 
 
