@@ -68,19 +68,62 @@ class CameraPath:
         """Fit the cameras."""
         self._films, self._camera = films, shifted(films[0].camera, films[0].offset[0])
         self._aim = _Aim(self._camera, width / height, height)
-        self._frames = min(frames), max(frames)
-        self._fitted = None if is_placed(self._camera) else _FittedPath(films, self._aim, *self._frames)
+        self._middle = (min(frames) + max(frames)) // 2
+        self._is_placed = is_placed(self._camera)
+        if not self._is_placed:
+            self._fit(min(frames), max(frames))
 
     def at(self, frame: int, film: int = 0) -> CameraView:
         """The view of a frame of one of the films."""
-        if self._fitted is not None:
-            return self._fitted.at(frame)
-        return self._aim.view(*place_camera(self._camera, self._films[film], frame))
+        if self._is_placed:
+            return self._aim.view(*place_camera(self._camera, self._films[film], frame))
+        if not self._follows:
+            return self._aim.view(*self._still, self._grid)
+        eye = np.array([np.interp(frame, self._keys, self._eyes[:, axis]) for axis in range(3)])
+        return self._aim.view(eye, float(np.interp(frame, self._keys, self._reaches)), self._grid)
 
     @property
     def mean(self) -> CameraView:
         """A view from the middle of the path, to decide what hides the bodies."""
-        return self.at(sum(self._frames) // 2) if self._fitted is None else self._fitted.mean
+        return self.at(self._middle)
+
+    def _fit(self, first: int, last: int) -> None:
+        """Keep the moving bodies of all films in view."""
+        films, aim = self._films, self._aim
+        spaced = np.unique(np.linspace(first, last, CAMERA_FRAMES).astype(int))
+        step = max(1, round(FOLLOW_PERIOD * films[0].fps))
+        self._keys = np.arange(first, last + step, step).clip(max=last)
+        seen = [np.concatenate([points_to_see(film, [int(key)]) for film in films]) for key in self._keys]
+        all_seen = np.concatenate([points_to_see(film, spaced) for film in films])
+        relief = np.concatenate([_relief(film) for film in films])
+        still, fits = aim.fit(all_seen), [aim.fit(points) for points in seen]
+        while aim.camera.elevation < HIGHEST and any(aim.is_blocked(*fit, relief) for fit in (still, *fits)):
+            aim = aim.raised()
+            still, fits = aim.fit(all_seen), [aim.fit(points) for points in seen]
+        self._aim, self._still, self._grid = aim, still, grid_length(still[1])
+        self._middle = int(self._keys[len(self._keys) // 2])
+        self._follows = still[1] > FOLLOW_GAIN * min(reach for _, reach in fits)
+        self._eyes, self._reaches = np.array([eye for eye, _ in fits]), np.array([reach for _, reach in fits])
+        if self._follows:
+            self._smooth(seen, max(1, round(FOLLOW_TIME / FOLLOW_PERIOD)))
+
+    def _smooth(self, seen: list[np.ndarray], width: int) -> None:
+        """Smooth the path, and keep the bodies in view by the farthest camera of the neighbouring frames."""
+        back = self._aim.back
+        window = np.hanning(2 * width + 3)[1:-1]
+        window /= window.sum()
+        along = self._eyes @ back
+        sideways = self._eyes - along[:, None] * back
+
+        def neighbours(values):
+            return np.lib.stride_tricks.sliding_window_view(np.pad(values, width, "edge"), 2 * width + 1)
+
+        sideways = np.stack([neighbours(column) @ window for column in sideways.T], axis=1)
+        center = neighbours(along - self._reaches) @ window
+        needed = [self._aim.depth(points, eye) for points, eye in zip(seen, sideways, strict=True)]
+        farthest = neighbours(np.array(needed) - center).max(axis=1)
+        self._reaches = neighbours(farthest) @ window
+        self._eyes = sideways + (center + self._reaches)[:, None] * back
 
 
 def is_placed(camera: Camera) -> bool:
@@ -214,57 +257,6 @@ class _Aim:
         near = np.linalg.norm((relief - line)[:, :2], axis=1) < 0.15 * reach
         near &= (along > -0.2 * reach) & (along < 0.7 * reach)
         return bool((relief[near, 2] > line[near, 2]).any())
-
-
-class _FittedPath:
-    """The views of a camera that keeps the moving bodies of some films in view."""
-
-    def __init__(self, films: Sequence[Film], aim: _Aim, first: int, last: int):
-        spaced = np.unique(np.linspace(first, last, CAMERA_FRAMES).astype(int)) if last > first else np.array([last])
-        step = max(1, round(FOLLOW_PERIOD * films[0].fps))
-        self._keys = np.arange(first, last + step, step).clip(max=last) if last > first else np.array([last])
-        seen = [np.concatenate([points_to_see(film, [int(key)]) for film in films]) for key in self._keys]
-        all_seen = np.concatenate([points_to_see(film, spaced) for film in films])
-        relief = np.concatenate([_relief(film) for film in films])
-        still, fits = aim.fit(all_seen), [aim.fit(points) for points in seen]
-        while aim.camera.elevation < HIGHEST and any(aim.is_blocked(*fit, relief) for fit in (still, *fits)):
-            aim = aim.raised()
-            still, fits = aim.fit(all_seen), [aim.fit(points) for points in seen]
-        self._aim, self._still, self._grid = aim, still, grid_length(still[1])
-        self._follows = still[1] > FOLLOW_GAIN * min(reach for _, reach in fits)
-        self._eyes, self._reaches = np.array([eye for eye, _ in fits]), np.array([reach for _, reach in fits])
-        if self._follows:
-            self._smooth(seen, max(1, round(FOLLOW_TIME / FOLLOW_PERIOD)))
-
-    def at(self, frame: int) -> CameraView:
-        """The view of a frame."""
-        if not self._follows:
-            return self._aim.view(*self._still, self._grid)
-        eye = np.array([np.interp(frame, self._keys, self._eyes[:, axis]) for axis in range(3)])
-        return self._aim.view(eye, float(np.interp(frame, self._keys, self._reaches)), self._grid)
-
-    @property
-    def mean(self) -> CameraView:
-        """The view of the middle of the path."""
-        return self.at(int(self._keys[len(self._keys) // 2]))
-
-    def _smooth(self, seen: list[np.ndarray], width: int) -> None:
-        """Smooth the path, and keep the bodies in view by the farthest camera of the neighbouring frames."""
-        back = self._aim.back
-        window = np.hanning(2 * width + 3)[1:-1]
-        window /= window.sum()
-        along = self._eyes @ back
-        sideways = self._eyes - along[:, None] * back
-
-        def neighbours(values):
-            return np.lib.stride_tricks.sliding_window_view(np.pad(values, width, "edge"), 2 * width + 1)
-
-        sideways = np.stack([neighbours(column) @ window for column in sideways.T], axis=1)
-        center = neighbours(along - self._reaches) @ window
-        needed = [self._aim.depth(points, eye) for points, eye in zip(seen, sideways, strict=True)]
-        farthest = neighbours(np.array(needed) - center).max(axis=1)
-        self._reaches = neighbours(farthest) @ window
-        self._eyes = sideways + (center + self._reaches)[:, None] * back
 
 
 def fit_camera(points: np.ndarray, aspect: float, height: int, camera: Camera = DEFAULT) -> CameraView:
