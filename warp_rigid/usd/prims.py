@@ -145,18 +145,15 @@ def _rotation_to_z(prim: Usd.Prim) -> np.ndarray:
 def _scaled(prim: Usd.Prim, scale: np.ndarray) -> Shape | None:
     """A scaled primitive in a frame with its axis as z; None if it is no longer a primitive of that type."""
     round_, uniform = _is_uniform(scale[:2]), _is_uniform(scale)
-    if prim.IsA(UsdGeom.Sphere):
-        return Sphere(UsdGeom.Sphere(prim).GetRadiusAttr().Get() * scale[0]) if uniform else None
     if prim.IsA(UsdGeom.Cube):
         return Box(0.5 * UsdGeom.Cube(prim).GetSizeAttr().Get() * scale)
+    radius, half_height = value_of(prim, "radius", 0.0) * scale[0], 0.5 * value_of(prim, "height", 0.0) * scale[2]
+    if prim.IsA(UsdGeom.Sphere) or (prim.IsA(UsdGeom.Capsule) and not half_height > 0.0):
+        return Sphere(radius) if uniform else None
     if prim.IsA(UsdGeom.Capsule):
-        capsule = UsdGeom.Capsule(prim)
-        size = capsule.GetRadiusAttr().Get() * scale[0], 0.5 * capsule.GetHeightAttr().Get() * scale[2]
-        return (Capsule(*size) if size[1] > 0.0 else Sphere(size[0])) if uniform else None
+        return Capsule(radius, half_height) if uniform else None
     if prim.IsA(UsdGeom.Cylinder):
-        cylinder = UsdGeom.Cylinder(prim)
-        size = cylinder.GetRadiusAttr().Get() * scale[0], 0.5 * cylinder.GetHeightAttr().Get() * scale[2]
-        return Cylinder(*size) if round_ else None
+        return Cylinder(radius, half_height) if round_ else None
     if prim.IsA(UsdGeom.Cone):
         return None
     raise Unreadable(f"a {prim.GetTypeName() or 'prim without type'} is not a supported shape")
