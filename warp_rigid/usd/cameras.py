@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 from warp_rigid.render.framing import camera_directions, fit_camera, place_at_body, shifted
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.camera import NARROWEST, WIDEST, Camera, camera_of_text
-from warp_rigid.usd.conventions import MARK, custom_data
+from warp_rigid.usd.conventions import MARK, custom_data, transform
 from warp_rigid.usd.specs import SampleWriter, define, set_attribute, set_operations
 
 NAMES = Sdf.ValueTypeNames
@@ -148,6 +148,4 @@ def place_prim(prim: Sdf.PrimSpec, position: np.ndarray, camera: Camera) -> None
 
 def _matrix(position: np.ndarray, camera: Camera) -> Gf.Matrix4d:
     back, right, up = camera_directions(camera)
-    rows = np.eye(4)
-    rows[0, :3], rows[1, :3], rows[2, :3], rows[3, :3] = right, up, back, position
-    return Gf.Matrix4d(rows)
+    return Gf.Matrix4d(transform(np.stack([right, up, back], axis=1), position).T.tolist())

@@ -15,34 +15,13 @@ from warp_rigid.files.atomic import atomic_file
 
 
 def open_layer(path: Path) -> Sdf.Layer:
-    """Create an empty layer for a path; a layer already open for that path is cleared.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Create an empty layer for a path; a layer already open for that path is cleared."""
     layer = Sdf.Layer.Find(str(path))
     if layer is not None:
         layer.Clear()
         return layer
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return Sdf.Layer.CreateNew(str(path))
-    except Tf.ErrorException:
-        raise OSError(f"{path}: cannot be written") from None
-
-
-def save_layer(layer: Sdf.Layer) -> None:
-    """Save a layer to its file.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    try:
-        saved = layer.Save()
-    except Tf.ErrorException:
-        saved = False
-    if not saved:
-        raise OSError(f"{layer.realPath or layer.identifier}: cannot be written")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return Sdf.Layer.CreateNew(str(path))
 
 
 def export_layer(layer: Sdf.Layer, path: Path) -> None:

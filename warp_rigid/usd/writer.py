@@ -25,7 +25,6 @@ from warp_rigid.usd.specs import (
     export_layer,
     open_layer,
     reload_layer,
-    save_layer,
     set_attribute,
     set_operations,
     stage_metadata,
@@ -112,7 +111,7 @@ class UsdWriter:
             self._spread.add(frame.position[self._rows])
             self._frames += 1
             if self._live and self._frames - self._flushed >= self._flush_interval():
-                self.flush()
+                self._flush()
 
     def _flush_interval(self) -> int:
         """Maximum number of unflushed frames.
@@ -125,12 +124,8 @@ class UsdWriter:
         cheap = self._options.layout == "clips" or (self._profile == "animation" and self._suffix == ".usdc")
         return FLUSH_EVERY if cheap else max(FLUSH_EVERY, self._flushed // 4)
 
-    def flush(self) -> None:
-        """Write all pending frames to disk; the file is readable from then on.
-
-        Raises:
-            OSError: A file cannot be written.
-        """
+    def _flush(self) -> None:
+        """Write all pending frames to disk; the file is readable from then on."""
         for layer in self._layers:
             if layer.HasEndTimeCode():
                 layer.endTimeCode = float(self._frames - 1)
@@ -138,8 +133,8 @@ class UsdWriter:
             self._clips.flush(self._frames - 1)
         # The root layer is saved last, so that it never refers to a missing file.
         for layer in reversed(self._layers):
-            if layer.dirty:
-                save_layer(layer)
+            if layer.dirty and not layer.Save():
+                raise OSError(f"{layer.realPath}: cannot be written")
         self._flushed = self._frames
 
     def close(self) -> None:
@@ -153,7 +148,7 @@ class UsdWriter:
                 with Sdf.ChangeBlock():
                     self._arrange()
             if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
-                self.flush()
+                self._flush()
             if self._is_package:
                 self._pack()
             elif self._live and self._profile == "scene":
@@ -272,7 +267,7 @@ class UsdWriter:
                     complete = made.testzip() is None and made.getinfo(inner.name).file_size == inner.stat().st_size
                 if not complete:
                     raise OSError(f"{temporary}: cannot be written")
-        except (Tf.ErrorException, zipfile.BadZipFile, KeyError, EOFError):
+        except (zipfile.BadZipFile, KeyError, EOFError):
             raise OSError(f"{self._path}: cannot be written; is the disk full?") from None
 
 
