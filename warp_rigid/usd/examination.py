@@ -9,6 +9,7 @@ This module runs as a script too (`serve`), so it imports nothing of the package
 """
 
 import json
+import math
 import os
 import re
 import select
@@ -54,20 +55,27 @@ Node = tuple[str, Sdf.Path]
 """A prim: the identifier of the strongest layer of its stack, and its path."""
 
 
-def examine(path: str, allow: Any = None) -> None:
+def refusal(path: str, allow: Any = None, most_bytes: float = math.inf) -> str:
     """Open a file and all files behind it, read their values and count their prims.
 
     Args:
         path: the file.
         allow: function(bytes), called with the size of each file before it is opened; None for no limits.
+        most_bytes: the limit on memory, for the message [bytes].
 
-    Raises:
-        ValueError: It is not a USD file, or it is too large or nested too deeply to be composed.
+    Returns:
+        Why the file must not be opened: it is not a USD file, or too large or nested too deeply to be composed. Empty
+        if it can be.
     """
     try:
         _Examination(path, allow).check()
-    except (Tf.ErrorException, UnicodeError) as error:
-        raise ValueError(f"{path}: not a readable USD file: {reason_of(error)}") from None
+    except (MemoryError, ValueError, RuntimeError, *UNREADABLE) as error:
+        reason = reason_of(error)
+        if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
+            allowed = f"{most_bytes / 2**30:g} GiB; WARP_RIGID_USD_GIGABYTES raises the limit"
+            reason = f"opening it takes more memory than allowed, {allowed}"
+        return str(error) if type(error) is ValueError else f"{path}: not a readable USD file: {reason}"
+    return ""
 
 
 def reason_of(error: Exception) -> str:
@@ -84,7 +92,7 @@ class _Examination:
 
     Args:
         path: the file.
-        allow: as in `examine`.
+        allow: as in `refusal`.
     """
 
     def __init__(self, path: str, allow: Any):
@@ -322,7 +330,9 @@ def serve() -> None:
         reading, writing = os.pipe()
         worker = os.fork()
         if worker == 0:
-            os.write(writing, _answer(request).encode()[:4096])
+            allow = _limited(request["seconds"], request["bytes"])
+            # After a blank, since the answer of a process that ends early is empty.
+            os.write(writing, f" {refusal(request['path'], allow, request['bytes'])}".encode()[:4096])
             os._exit(0)
         os.close(writing)
         if _has_hung_up(reading):
@@ -338,20 +348,6 @@ def _has_hung_up(reading: int) -> bool:
     """Wait for an answer of the worker; whether the process that asked has ended before it came."""
     ready, _, _ = select.select([reading, sys.stdin.fileno()], [], [])
     return reading not in ready
-
-
-def _answer(request: dict[str, Any]) -> str:
-    """A blank if a file can be opened, with the reason behind it if not."""
-    path = request["path"]
-    try:
-        examine(path, _limited(request["seconds"], request["bytes"]))
-    except (MemoryError, ValueError, RuntimeError, *UNREADABLE) as error:
-        reason = reason_of(error)
-        if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
-            allowed = f"{request['bytes'] / 2**30:g} GiB; WARP_RIGID_USD_GIGABYTES raises the limit"
-            reason = f"opening it takes more memory than allowed, {allowed}"
-        return f" {error}" if type(error) is ValueError else f" {path}: not a readable USD file: {reason}"
-    return " "
 
 
 def _how_it_ended(request: dict[str, Any], status: int) -> str:

@@ -65,7 +65,7 @@ class _Examiner:
         """Why a file must not be opened; empty if it can be."""
         limits = {name: _limit(*given) for name, given in LIMITS.items()}
         if not hasattr(os, "fork"):
-            return _without_limits(path)
+            return examination.refusal(str(path))
         request = json.dumps({"path": os.path.abspath(path), **limits}).encode()
         with self._lock:
             for _ in range(2):
@@ -110,12 +110,3 @@ def _limit(variable: str, default: float, unit: float) -> float:
         return number_in(variable, float(text), above=0.0) * unit
     except ValueError:
         raise ValueError(f"{variable}: must be a number > 0, got {text!r}") from None
-
-
-def _without_limits(path: Path) -> str:
-    """Examine a file in this process, where processes cannot fork."""
-    try:
-        examination.examine(str(path))
-    except ValueError as error:
-        return str(error)
-    return ""
