@@ -1,7 +1,6 @@
 """Library of the shapes of a file, each defined once and referenced by its bodies."""
 
 from collections.abc import Mapping
-from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -195,47 +194,40 @@ def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientatio
     return prim
 
 
-@singledispatch
 def _write_geometry(shape: Shape, prim: Sdf.PrimSpec, time: float) -> np.ndarray | None:
     """Write a shape's type and geometry, and return the scale of its prim, if it has one.
 
     A shape for which USD has no schema is written as its triangles.
     """
-    _write_triangles(prim, shape)
+    names = Sdf.ValueTypeNames
+    if isinstance(shape, Box):
+        _begin_primitive(prim, "Cube", np.ones(3))
+        set_attribute(prim, "size", names.Double, 2.0)
+        return shape.half_extents
+    if isinstance(shape, Sphere):
+        _begin_primitive(prim, "Sphere", shape.bounds[1])
+        set_attribute(prim, "radius", names.Double, shape.radius)
+    elif isinstance(shape, Capsule | Cylinder):
+        _begin_primitive(prim, type(shape).__name__, shape.bounds[1])
+        set_attribute(prim, "axis", names.Token, "Z", uniform=True)
+        set_attribute(prim, "radius", names.Double, shape.radius)
+        set_attribute(prim, "height", names.Double, 2.0 * shape.half_height)
+    elif isinstance(shape, Plane):
+        _begin_primitive(prim, "Plane", np.array([0.5 * PLANE_WIDTH, 0.5 * PLANE_WIDTH, 0.0]))
+        set_attribute(prim, "axis", names.Token, "Z", uniform=True)
+        set_attribute(prim, "width", names.Double, PLANE_WIDTH)
+        set_attribute(prim, "length", names.Double, PLANE_WIDTH)
+    elif isinstance(shape, Mesh):
+        _write_solid(prim, shape)
+    else:
+        _write_triangles(prim, shape)
+        if isinstance(shape, Heightfield):
+            prim.SetInfo("customData", {MARK: _heightfield_data(shape, time)})
     return None
 
 
-@_write_geometry.register
-def _(shape: Sphere, prim: Sdf.PrimSpec, time: float) -> None:
-    _begin_primitive(prim, "Sphere", shape.bounds[1])
-    set_attribute(prim, "radius", Sdf.ValueTypeNames.Double, shape.radius)
-
-
-@_write_geometry.register
-def _(shape: Box, prim: Sdf.PrimSpec, time: float) -> np.ndarray:
-    _begin_primitive(prim, "Cube", np.ones(3))
-    set_attribute(prim, "size", Sdf.ValueTypeNames.Double, 2.0)
-    return shape.half_extents
-
-
-@_write_geometry.register
-def _(shape: Capsule | Cylinder, prim: Sdf.PrimSpec, time: float) -> None:
-    _begin_primitive(prim, type(shape).__name__, shape.bounds[1])
-    set_attribute(prim, "axis", Sdf.ValueTypeNames.Token, "Z", uniform=True)
-    set_attribute(prim, "radius", Sdf.ValueTypeNames.Double, shape.radius)
-    set_attribute(prim, "height", Sdf.ValueTypeNames.Double, 2.0 * shape.half_height)
-
-
-@_write_geometry.register
-def _(shape: Plane, prim: Sdf.PrimSpec, time: float) -> None:
-    _begin_primitive(prim, "Plane", np.array([0.5 * PLANE_WIDTH, 0.5 * PLANE_WIDTH, 0.0]))
-    set_attribute(prim, "axis", Sdf.ValueTypeNames.Token, "Z", uniform=True)
-    set_attribute(prim, "width", Sdf.ValueTypeNames.Double, PLANE_WIDTH)
-    set_attribute(prim, "length", Sdf.ValueTypeNames.Double, PLANE_WIDTH)
-
-
-@_write_geometry.register
-def _(shape: Mesh, prim: Sdf.PrimSpec, time: float) -> None:
+def _write_solid(prim: Sdf.PrimSpec, shape: Mesh) -> None:
+    """Triangles with the resolution of their signed distance grid."""
     _write_triangles(prim, shape, "NewtonSDFCollisionAPI")
     rounded = -(-shape.sdf_resolution // SDF_BLOCK) * SDF_BLOCK
     set_attribute(prim, "newton:sdfMaxResolution", Sdf.ValueTypeNames.Int, rounded, uniform=True)
@@ -245,9 +237,8 @@ def _(shape: Mesh, prim: Sdf.PrimSpec, time: float) -> None:
     prim.SetInfo("customData", {MARK: data})
 
 
-@_write_geometry.register
-def _(shape: Heightfield, prim: Sdf.PrimSpec, time: float) -> None:
-    _write_triangles(prim, shape)
+def _heightfield_data(shape: Heightfield, time: float) -> dict[str, Any]:
+    """What tells a height field from a mesh, and its motion from a time on [s]."""
     rows, columns = shape.heights.shape
     data: dict[str, Any] = {"heightfieldRows": rows, "heightfieldColumns": columns}
     if shape.moving:
@@ -258,7 +249,7 @@ def _(shape: Heightfield, prim: Sdf.PrimSpec, time: float) -> None:
             "heightfieldSize": Vt.DoubleArray(shape.extent.tolist()),
             "heightfieldFrequency": shape.angular_frequency,
         }
-    prim.SetInfo("customData", {MARK: data})
+    return data
 
 
 def _begin_primitive(prim: Sdf.PrimSpec, type_name: str, upper: np.ndarray) -> None:
