@@ -3,7 +3,6 @@
 import logging
 import queue
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -19,24 +18,11 @@ from warp_rigid.render.framing import points_to_see
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
+from warp_rigid.viewer import page
 from warp_rigid.viewer.controls import check_point
 from warp_rigid.viewer.history import History, Moment
 from warp_rigid.viewer.instances import Instances, bytes_of_light
 from warp_rigid.viewer.overlays import CONTACTS, Overlays
-from warp_rigid.viewer.page import (
-    add_labels,
-    follow_with_pages,
-    ground_heights,
-    keep_above_ground,
-    keep_framed,
-    look_at_film,
-    opacity_of_walls,
-    png_bytes,
-    set_light,
-    start_server,
-    stop_server,
-    widen_views,
-)
 from warp_rigid.viewer.panel import Panel
 from warp_rigid.viewer.picking import first_hit, trace
 from warp_rigid.viewer.session import Paced, Session
@@ -83,7 +69,7 @@ class LiveViewer:
         self.session = session
         self.given = session.source
         self.fast = fast
-        self.server = start_server(host, port)
+        self.server = page.start_server(host, port)
         self._wishes: queue.SimpleQueue = queue.SimpleQueue()
         self._loaded: set[int] = set()
         self.history = History()
@@ -100,15 +86,12 @@ class LiveViewer:
         self.rows = self._some_rows(0, session.sim.num_envs)
         self.chosen = (0, 0)
         self._panel = Panel(self)
-        set_light(self.server, fast)
+        page.set_light(self.server, fast)
         self._stale = True
         self._widen = Paced(share=0.01, period=0.5)
         self._updates, self._since, self._rate, self._pace = 0, (time.perf_counter(), 0.0), 0.0, 0.0
         self._show_scene()
-        # In a thread of its own: it waits for the page, and viser's threads are few.
-        self.server.on_client_connect(
-            lambda client: threading.Thread(target=self._welcome, args=(client,), daemon=True).start()
-        )
+        page.on_each_page(self.server, self._welcome)
 
     def run(self) -> None:
         """Step and show until `stop`; the simulation waits while no page is open."""
@@ -137,7 +120,7 @@ class LiveViewer:
                 due = max(due + PERIOD, time.perf_counter())
             elif not (watched and self.session.behind) and self._wishes.empty():
                 time.sleep(max(0.0, due - time.perf_counter()))
-        stop_server(self.server)
+        page.stop_server(self.server)
 
     def stop(self) -> None:
         """Make `run` return; may be called from any thread."""
@@ -204,7 +187,7 @@ class LiveViewer:
         if name == "wireframe":
             self._instances.wire(value)
         elif name == "shadows":
-            set_light(self.server, not value)
+            page.set_light(self.server, not value)
         elif name in ("slice", "axis", "place"):
             self._cut()
 
@@ -280,7 +263,7 @@ class LiveViewer:
         if client is None:
             return
         picture = client.get_render(client.camera.image_height, client.camera.image_width, timeout=PICTURE_PATIENCE)
-        self._send(client_id, f"{self.session.plan.demo.name}.png", png_bytes(picture))
+        self._send(client_id, f"{self.session.plan.demo.name}.png", page.png_bytes(picture))
 
     def _send(self, client_id: int, name: str, content: bytes) -> None:
         client = self.server.get_clients().get(client_id)
@@ -289,8 +272,8 @@ class LiveViewer:
 
     def _welcome(self, client: Any) -> None:
         """Fit the view to the page, and let the simulation wait until the page shows the scene."""
-        keep_framed(client, lambda: self._film)
-        client.camera.on_update(lambda _: keep_above_ground(client, ground_heights(self._film)))
+        page.keep_framed(client, lambda: self._film)
+        client.camera.on_update(lambda _: page.keep_above_ground(client, page.ground_heights(self._film)))
         try:
             client.get_render(16, 16, timeout=LOADING_PATIENCE)
         except Exception as error:  # a page in the background draws nothing
@@ -372,7 +355,7 @@ class LiveViewer:
         self._film: Film = film_from_recording(recorder.recording())
         motion = np.array([body.motion for body in session.plan.scene.bodies])
         self._plain = bytes_of_light(self._film.color)
-        self._walls = np.where(np.tile(motion == Motion.STATIC, len(self.rows)), opacity_of_walls(self._film), 1.0)
+        self._walls = np.where(np.tile(motion == Motion.STATIC, len(self.rows)), page.opacity_of_walls(self._film), 1.0)
         self._dynamic = np.tile(motion == Motion.DYNAMIC, len(self.rows))
         with self.server.atomic():
             if self._instances is not None:
@@ -381,12 +364,12 @@ class LiveViewer:
                 label.remove()
             self._instances = Instances(self.server, self._film, np.tile(motion != Motion.STATIC, len(self.rows)))
             self._instances.wire(self._options["wireframe"])
-            self._labels = add_labels(self.server, self._film)
+            self._labels = page.add_labels(self.server, self._film)
         points = points_to_see(self._film, [0])
         self._extent = float(np.ptp(points, axis=0).max())
         for handle, chosen in self._instances.handles:
             self._listen(handle, chosen)
-        look_at_film(self.server, self._film)
+        page.look_at_film(self.server, self._film)
         moving = np.flatnonzero(motion == Motion.DYNAMIC)
         self.chosen = (int(self.rows[0]), int(moving[0]) if len(moving) else 0)
         self._panel.refresh(session, int(self.rows[0]))
@@ -498,9 +481,9 @@ class LiveViewer:
             self._slice.follow(position[self._chosen_instance], orientation[self._chosen_instance])
             self._draw_rope()
             if self._film.camera.body is not None:
-                follow_with_pages(self.server, replace(self._film, **poses), 0)
+                page.follow_with_pages(self.server, replace(self._film, **poses), 0)
             elif self.session.running or self._looping:
-                self._widen(widen_views, self.server, replace(self._film, **poses))
+                self._widen(page.widen_views, self.server, replace(self._film, **poses))
         self._stale = True
 
     def _poses(self, state: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -73,6 +74,11 @@ def stop_server(server: viser.ViserServer) -> None:
     """Close all pages, without console output."""
     with _silent_console():
         server.stop()
+
+
+def on_each_page(server: viser.ViserServer, action: Callable[[viser.ClientHandle], None]) -> None:
+    """Call an action for each page, in a thread of its own: it may wait for the page, and viser's threads are few."""
+    server.on_client_connect(lambda client: threading.Thread(target=action, args=(client,), daemon=True).start())
 
 
 @contextlib.contextmanager

@@ -12,16 +12,8 @@ from warp_rigid.render.framing import event_end
 from warp_rigid.rotations import continuous_signs
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import camera_of_text, with_body_index
+from warp_rigid.viewer import page
 from warp_rigid.viewer.instances import Instances
-from warp_rigid.viewer.page import (
-    add_labels,
-    follow_with_pages,
-    keep_framed,
-    look_at_film,
-    set_light,
-    start_server,
-    stop_server,
-)
 from warp_rigid.viewer.server import own_title
 
 PERIOD = 1.0 / 30.0
@@ -82,15 +74,12 @@ class FilmViewer:
         self.playing = True
         self._speed = 1.0
         self._stop = threading.Event()
-        self.server = start_server(host, port)
-        set_light(self.server, fast)
+        self.server = page.start_server(host, port)
+        page.set_light(self.server, fast)
         self._instances = Instances(self.server, film, film.moving)
-        add_labels(self.server, film)
-        look_at_film(self.server, film)
-        # In a thread of its own: it waits for the page, and viser's threads are few.
-        self.server.on_client_connect(
-            lambda client: threading.Thread(target=keep_framed, args=(client, lambda: self.film), daemon=True).start()
-        )
+        page.add_labels(self.server, film)
+        page.look_at_film(self.server, film)
+        page.on_each_page(self.server, lambda client: page.keep_framed(client, lambda: self.film))
         self._add_controls()
 
     def run(self) -> None:
@@ -105,7 +94,7 @@ class FilmViewer:
                 shown = self.frame
                 self._show(shown)
             self._stop.wait(max(0.0, PERIOD - (time.perf_counter() - now)))
-        stop_server(self.server)
+        page.stop_server(self.server)
 
     @property
     def frame(self) -> int:
@@ -125,7 +114,7 @@ class FilmViewer:
         with self.server.atomic():
             self._instances.show(self.film, frame)
             if self.film.camera.body is not None:
-                follow_with_pages(self.server, self.film, frame)
+                page.follow_with_pages(self.server, self.film, frame)
         if self._scrubber.value != frame:
             self._scrubber.value = frame
         self._time.content = f"{frame / self.film.fps:.2f} s of {(self.film.num_frames - 1) / self.film.fps:.2f} s"
@@ -179,23 +168,23 @@ def save_html(film: Film, path, fast: bool = False) -> None:
     Raises:
         ModuleNotFoundError: viser is not installed.
     """
-    server = start_server("127.0.0.1", 8080)
+    server = page.start_server("127.0.0.1", 8080)
     try:
-        set_light(server, fast)
+        page.set_light(server, fast)
         instances = Instances(server, film, film.moving)
-        add_labels(server, film)
-        look_at_film(server, film)
-        page = server.get_scene_serializer()
+        page.add_labels(server, film)
+        page.look_at_film(server, film)
+        serializer = server.get_scene_serializer()
         stride = max(1, round(film.fps / PAGE_RATE))
         last = event_end(film)
         film = replace(film, orientation=continuous_signs(film.orientation))
         for frame in [*range(0, last, stride), last]:
             instances.show(film, frame)
-            page.insert_sleep(stride / film.fps)
+            serializer.insert_sleep(stride / film.fps)
         # The page starts again at once: the end is shown for a while, so that the loop is no jump in the motion.
-        page.insert_sleep(END_PAUSE)
+        serializer.insert_sleep(END_PAUSE)
         with atomic_file(path) as beside:
-            text = page.as_html().replace(LOADER, LOADER_WITHOUT_RESET, 1)
+            text = serializer.as_html().replace(LOADER, LOADER_WITHOUT_RESET, 1)
             beside.write_text(own_title(text), encoding="utf-8")
     finally:
-        stop_server(server)
+        page.stop_server(server)
