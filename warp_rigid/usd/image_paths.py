@@ -35,16 +35,13 @@ class ImagePaths:
             OSError: A copy cannot be written.
         """
         inner = os.path.relpath(os.path.realpath(Path(layer.realPath).parent), os.path.realpath(self._written))
-        target: str | Path | None = image
-        folder = self._final
-        if self._is_package:
-            target, folder = self._copied(image), self._written
+        target, folder = (self._copied(image), self._written) if self._is_package else (Path(image), self._final)
         if target is None:
             return None
         try:
             relative = Path(os.path.relpath(target, folder / inner)).as_posix()
         except ValueError:  # on another drive of Windows
-            return Path(target).as_posix()
+            return target.as_posix()
         return relative if relative.startswith("../") else f"./{relative}"
 
     def _copied(self, image: str) -> Path | None:
