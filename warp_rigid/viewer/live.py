@@ -383,11 +383,9 @@ class LiveViewer:
 
         Where a fixed body fills the view, drags turn the camera.
         """
-
-        @handle.on_click
-        def _(event) -> None:
-            self.ask(self._push, chosen, event.instance_index, event.ray_origin, event.ray_direction)
-
+        handle.on_click(
+            lambda event: self.ask(self._push, chosen, event.instance_index, event.ray_origin, event.ray_direction)
+        )
         size = np.ptp(self._film.meshes[self._film.mesh[chosen[0]]].vertices, axis=0).max()
         if self._dynamic[chosen].any() or size < self._extent:
 

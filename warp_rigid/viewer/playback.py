@@ -141,17 +141,9 @@ class FilmViewer:
             else:
                 self.seek(self.frame + (1 if event.target.value == "Forward" else -1))
 
-        @speed.on_update
-        def _(event) -> None:
-            self._speed = speed.value
-
-        @wire.on_update
-        def _(event) -> None:
-            self._instances.wire(wire.value)
-
-        @play.on_trigger
-        def _(event) -> None:
-            self._toggle()
+        speed.on_update(lambda event: setattr(self, "_speed", speed.value))
+        wire.on_update(lambda event: self._instances.wire(wire.value))
+        play.on_trigger(lambda event: self._toggle())
 
     def _toggle(self) -> None:
         self.playing = not self.playing
