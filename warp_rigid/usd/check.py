@@ -74,12 +74,7 @@ def _instancer(prim: Usd.Prim) -> list[str]:
             found.append(f"protoIndices are from {values.min()} to {values.max()}, but there are {count} prototypes")
             break
     wanted = len(indices.Get(_moments(indices)[0]) or [])
-    for attribute in (
-        instancer.GetPositionsAttr(),
-        instancer.GetOrientationsAttr(),
-        instancer.GetOrientationsfAttr(),
-        instancer.GetScalesAttr(),
-    ):
+    for attribute in map(prim.GetAttribute, ("positions", "orientations", "orientationsf", "scales")):
         value = attribute.Get(_moments(attribute)[0]) if attribute.HasAuthoredValue() else None
         if value is not None and len(value) != wanted:
             found.append(f"{attribute.GetName()} has {len(value)} values for {wanted} instances")
