@@ -1,5 +1,6 @@
 """Looks of the bodies of imported files: UsdPreviewSurface materials, display colours and texture coordinates."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ class Texture(NamedTuple):
         return (uv * self.scale) @ turn + self.translation
 
 
-def read_look(body: Usd.Prim, has_uv: bool, notes: list[str]) -> Look | None:
+def read_look(body: Usd.Prim, has_uv: bool, note: Callable[[str], None]) -> Look | None:
     """The look of the first geometry of a body; None if the file states nothing about it.
 
     The colour of an image is its mean, which is shown where the image is not. Of files written by this package, only
@@ -49,7 +50,7 @@ def read_look(body: Usd.Prim, has_uv: bool, notes: list[str]) -> Look | None:
     Args:
         body: prim of the body.
         has_uv: whether its shape has texture coordinates, without which the image is not kept.
-        notes: receives why an image is not shown, of which a warning tells, too.
+        note: called with the reason why an image is not shown, of which a warning tells, too.
     """
     written = "motion" in custom_data(body)
     for prim in Usd.PrimRange(body, Usd.TraverseInstanceProxies()):
@@ -58,7 +59,7 @@ def read_look(body: Usd.Prim, has_uv: bool, notes: list[str]) -> Look | None:
             if written and not (material and "look" in custom_data(material.GetPrim())):
                 return None
             if shader is not None:
-                return _of_shader(shader, prim, has_uv, notes)
+                return _of_shader(shader, prim, has_uv, note)
             color = _primvar(prim, "displayColor")
             return None if color is None else Look(color, roughness=1.0)
     return None
@@ -163,17 +164,17 @@ def _producers(shader: UsdShade.Shader | None, name: str) -> list[Usd.Attribute]
     return entry.GetValueProducingAttributes() if entry else []
 
 
-def _of_shader(shader: UsdShade.Shader, prim: Usd.Prim, has_uv: bool, notes: list[str]) -> Look:
+def _of_shader(shader: UsdShade.Shader, prim: Usd.Prim, has_uv: bool, note: Callable[[str], None]) -> Look:
     numbers = dict(NUMBERS)
     for name in NUMBERS:
         value = shader.GetInput(name).Get() if shader.GetInput(name) else None
         if isinstance(value, float) and np.isfinite(value):
             numbers[name] = float(np.clip(value, 0.0, 1.0))
     texture = _texture(_source(shader, "diffuseColor")) if has_uv else None
-    return Look(_color(shader, prim, notes), **numbers, image=None if texture is None else texture.image)
+    return Look(_color(shader, prim, note), **numbers, image=None if texture is None else texture.image)
 
 
-def _color(shader: UsdShade.Shader, prim: Usd.Prim, notes: list[str]) -> tuple[float, float, float] | None:
+def _color(shader: UsdShade.Shader, prim: Usd.Prim, note: Callable[[str], None]) -> tuple[float, float, float] | None:
     """Diffuse colour: a constant, a primvar of the geometry, or the mean of an image."""
     entry = shader.GetInput("diffuseColor")
     if not entry:
@@ -185,7 +186,7 @@ def _color(shader: UsdShade.Shader, prim: Usd.Prim, notes: list[str]) -> tuple[f
         image, fallback = _named_image(source), _value(source, "fallback")
         mean = image and mean_color(image)
         if image and not mean:
-            notes.append(f"image {image} cannot be read; the plain colour is shown instead")
+            note(f"image {image} cannot be read; the plain colour is shown instead")
         return mean or (_checked(fallback[:3]) if fallback is not None else None)
     return _checked(_value(shader, "diffuseColor"))
 

@@ -345,10 +345,7 @@ class Reader:
             self.leave_out(body.prim.GetPath(), str(error))
             return
         self.body_of |= {str(collider.prim.GetPath()): index for collider in group}
-        notes: list[str] = []
-        look = read_look(body.prim, shape.surface_uv() is not None, notes)
-        for note in notes:
-            self.change(body.prim, note)
+        look = read_look(body.prim, shape.surface_uv() is not None, partial(self.change, body.prim))
         if look is not None:
             scene.looks[index] = look
         self._keep_index(body, index)
