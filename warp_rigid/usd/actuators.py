@@ -13,8 +13,6 @@ from warp_rigid.usd.prims import value_of
 ACTUATOR = "MjcActuator"
 """Type of the prims."""
 
-Report = Callable[[Any, str], None]
-
 
 @dataclass(frozen=True)
 class Servo:
@@ -33,7 +31,7 @@ class Servo:
     largest: float
 
 
-def read_servos(root: Usd.Prim, leave_out: Report) -> dict[str, Servo]:
+def read_servos(root: Usd.Prim, leave_out: Callable[[Any, str], None]) -> dict[str, Servo]:
     """The servos below a prim, by the paths of their joints; their controls are zero.
 
     Args:

@@ -7,8 +7,6 @@ from pxr import Usd, UsdPhysics
 
 from warp_rigid.scene.scene import Motion, Scene
 
-Report = Callable[[str, str], None]
-
 
 def filter_pairs(
     stage: Usd.Stage,
@@ -16,7 +14,7 @@ def filter_pairs(
     body_of: dict[str, int],
     descriptions: dict,
     members: dict[str, set[str]],
-    leave_out: Report,
+    leave_out: Callable[[str, str], None],
 ) -> None:
     """Filter the pairs of bodies all of whose colliders are filtered.
 

@@ -5,7 +5,6 @@ first body of a joint of a scene. An axis Y or Z is turned to the x axis of both
 """
 
 import math
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -41,8 +40,6 @@ PARALLEL = 0.9999
 """Cosine from which on two axes count as parallel."""
 HALF_TURN = np.array([0.0, 1.0, 0.0, 0.0])
 """Rotation that reverses the x axis."""
-
-Report = Callable[[Any, str], None]
 
 
 class JointReader:
