@@ -65,7 +65,6 @@ class StackOutcome(OverlapOutcome):
         super().__init__(scene)
         self.movable = self.bodies + indices(scene, "projectile")
         self.ideal = PLATFORM_TOP + HALF * (2.0 * np.arange(len(self.bodies)) + 1.0)
-        self.depth = self.drift = self.sink = 0.0
         self.top = None
 
     def observe(self, sim):
@@ -73,13 +72,12 @@ class StackOutcome(OverlapOutcome):
         super().observe(sim)
         if sim.time > LAUNCH_TIME + 1e-3:
             return
-        self.depth = np.maximum(self.depth, sim.penetration())
+        self.keep_largest(depth=sim.penetration())
         if sim.time < LAUNCH_TIME - 1.0:
             return
         position = sim.get("position")[:, self.bodies].astype(np.float64)
         sideways = np.linalg.norm(position[..., :2], axis=-1).max(axis=1)
-        self.drift = np.maximum(self.drift, sideways)
-        self.sink = np.maximum(self.sink, np.abs(position[..., 2] - self.ideal).max(axis=1))
+        self.keep_largest(drift=sideways, sink=np.abs(position[..., 2] - self.ideal).max(axis=1))
         self.top = position[:, -1]
 
     def verdicts(self, sim):
@@ -90,9 +88,9 @@ class StackOutcome(OverlapOutcome):
         if len(self.bodies) >= ENOUGH_TO_FALL:
             stands["off"] = False
         verdicts = [
-            below("drift", self.drift, 1e-3, "drift < 1 mm before the hit", stands),
-            below("sink", self.sink, 1e-3, "height error < 1 mm before the hit", stands),
-            below("depth", self.depth, 1e-3, "overlap < 1 mm at any time before the hit", stands),
+            below("drift", self.largest["drift"], 1e-3, "drift < 1 mm before the hit", stands),
+            below("sink", self.largest["sink"], 1e-3, "height error < 1 mm before the hit", stands),
+            below("depth", self.largest["depth"], 1e-3, "overlap < 1 mm at any time before the hit", stands),
         ]
         if sim.time > LAUNCH_TIME + 1.0:
             moved = np.linalg.norm(sim.get("position")[:, self.bodies[-1]] - self.top, axis=-1)

@@ -72,26 +72,25 @@ def _arc(planks):
 class BridgeOutcome(ClosedJointsOutcome):
     """Sag of the bridge, gaps of its joints, and rest."""
 
+    prefix = ""
+
     def __init__(self, scene):
-        """Find the load."""
+        """Compute the height at which the load hangs."""
         super().__init__(scene)
-        self.load = len(scene.bodies) - 1
-        planks = self.load
+        planks = len(scene.bodies) - 1
         span = planks * SPACING / SLACK
         # With a load that is much heavier than the bridge, its two halves are straight.
         self.deepest = HEIGHT - np.sqrt((0.5 * planks * SPACING) ** 2 - (0.5 * span) ** 2)
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Joints closed; the load in its place, and at rest."""
-        if self.opened is None:
-            return []
-        height = sim.get("position")[:, self.load, 2].astype(np.float64) + ROPE
+        height = sim.get("position")[:, -1, 2].astype(np.float64) + ROPE
         away = np.abs(height - self.deepest)
         text = f"load hangs within 0.1 m of the height of straight halves, {self.deepest:.3f} m"
         return [
             self.closed_verdict(1e-3),
             Verdict("sag", away, text, away < 0.1, unit="m"),
-            rest_verdict(sim, list(range(self.load + 1))),
+            rest_verdict(sim, self.bodies),
         ]
 
 

@@ -62,34 +62,28 @@ class CarpetOutcome(OverlapOutcome):
         super().__init__(scene)
         self.reach = np.array([np.linalg.norm(scene.bodies[i].shape.surface()[0], axis=1).max() for i in self.bodies])
         self.throws = bool(scene.bodies[0].shape.amplitude.max() * FREQUENCY**2 > 1.1 * 9.81)
-        self.sunk = self.flight = self.speed = self.frames = 0
+        self.speed = self.frames = 0
 
     def observe(self, sim):
         """Record overlap, the largest clearance above the ground, the mean speed, and the bodies below the ground."""
         super().observe(sim)
         height, here = above_heightfield(sim, self.bodies, 0.5 * EXTENT, sim.time)
-        self.sunk = np.maximum(self.sunk, (~here).sum(axis=1))
+        self.keep_largest(sunk=(~here).sum(axis=1))
         if sim.time > 1.0:
-            self.flight = np.maximum(self.flight, (height - self.reach).max(axis=1))
+            self.keep_largest(flight=np.maximum((height - self.reach).max(axis=1), 0.0))
             speed = np.linalg.norm(sim.get("linear_velocity")[:, self.bodies], axis=-1).mean(axis=1)
             self.speed, self.frames = self.speed + speed, self.frames + 1
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Bodies below the ground, height of the throws, mean speed, overlap."""
         if self.frames == 0:
             return []
         moved = SOUND if self.throws else {}
-        speed = self.speed / self.frames
+        sunk, flight, speed = self.largest["sunk"], self.largest["flight"], self.speed / self.frames
+        thrown = f"a body thrown > {THROW:g} m clear of the ground"
         return [
-            Verdict("sunk", self.sunk, "no body below the ground or beyond its edge at any time", self.sunk == 0),
-            Verdict(
-                "flight",
-                self.flight,
-                f"a body thrown > {THROW:g} m clear of the ground",
-                self.flight > THROW,
-                moved,
-                "m",
-            ),
+            Verdict("sunk", sunk, "no body below the ground or beyond its edge at any time", sunk == 0),
+            Verdict("flight", flight, thrown, flight > THROW, moved, "m"),
             Verdict("speed", speed, "mean speed > 0.5 m/s", speed > 0.5, moved, "m/s"),
             *self.overlap_verdicts(sim, 3e-3, 0.013),
         ]

@@ -8,7 +8,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Verdict, below, indices
+from warp_rigid.scenes.demo import SceneOutcome, Verdict, below
 
 HALF = 0.1
 ROWS = 3
@@ -38,31 +38,23 @@ def build(speed: float = 0.25) -> Scene:
     return scene
 
 
-class CraneOutcome:
+class CraneOutcome(SceneOutcome):
     """How far the box was lifted, and how far the others moved."""
 
-    def __init__(self, scene):
-        """Note the pile."""
-        self.boxes = indices(scene, "box")
-        self.start = np.array([scene.bodies[box].position for box in self.boxes])
-        self.moved = None
+    prefix = "box_"
 
     def observe(self, sim):
         """Record the largest displacement of the lower boxes."""
-        moved = np.linalg.norm(sim.get("position")[:, self.boxes] - self.start, axis=-1)
-        now = moved[:, :-1].max(axis=1)
-        self.moved = now if self.moved is None else np.maximum(self.moved, now)
+        self.keep_largest(moved=self.displacement(sim)[:, :-1].max(axis=1))
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Both distances."""
-        if self.moved is None:
-            return []
-        lifted = sim.get("position")[:, self.boxes[-1], 2] - self.start[-1, 2]
+        lifted = sim.get("position")[:, self.bodies[-1], 2] - self.start[-1, 2]
         aim = LIFT - SLACK
         text = f"upper box lifted by {aim:g} m to 1 mm at the end"
         return [
             Verdict("lifted", lifted, text, np.abs(lifted - aim) < 1e-3, unit="m"),
-            below("moved", self.moved, 1e-4, "no other box moved by 0.1 mm at any time"),
+            below("moved", self.largest["moved"], 1e-4, "no other box moved by 0.1 mm at any time"),
         ]
 
 

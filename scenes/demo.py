@@ -204,15 +204,14 @@ def below(
     return Verdict(name, values, text, values < limit, expected, unit)
 
 
-class OverlapOutcome:
-    """Base of the outcomes that judge the overlap of the whole film.
+class SceneOutcome:
+    """Base of the outcomes of the built-in scenes.
 
     Attributes:
         prefix: of the names of the bodies that a scene judges.
         bodies: their indices.
-        recent: (time, deepest overlap of each environment) of the frames within LASTING [s, m].
-        lasting: deepest overlap that lasted for LASTING [m].
-        deepest: deepest overlap at any time [m].
+        start: (bodies, 3) their positions at the start [m].
+        largest: values of `keep_largest` by their names, (envs,).
     """
 
     prefix = "body_"
@@ -220,6 +219,42 @@ class OverlapOutcome:
     def __init__(self, scene: Scene) -> None:
         """Find the bodies."""
         self.bodies = indices(scene, self.prefix)
+        self.start = np.array([scene.bodies[i].position for i in self.bodies]).reshape(-1, 3)
+        self.largest: dict[str, np.ndarray] = {}
+
+    def observe(self, sim: Any) -> None:
+        """Record nothing: the final state is enough."""
+
+    def keep_largest(self, **values: np.ndarray) -> None:
+        """Keep the largest values (envs,) of all frames by their names."""
+        for name, now in values.items():
+            self.largest[name] = np.maximum(self.largest.get(name, now), now)
+
+    def displacement(self, sim: Any) -> np.ndarray:
+        """Distance of each body from its start, (envs, bodies) [m]."""
+        return np.linalg.norm(sim.get("position")[:, self.bodies] - self.start, axis=-1)
+
+    def verdicts(self, sim: Any) -> list[Verdict]:
+        """Those of `judge`, once a value was kept."""
+        return self.judge(sim) if self.largest else []
+
+    def judge(self, sim: Any) -> list[Verdict]:
+        """Judge the kept values and the present state."""
+        raise NotImplementedError
+
+
+class OverlapOutcome(SceneOutcome):
+    """Base of the outcomes that judge the overlap of the whole film.
+
+    Attributes:
+        recent: (time, deepest overlap of each environment) of the frames within LASTING [s, m].
+        lasting: deepest overlap that lasted for LASTING [m].
+        deepest: deepest overlap at any time [m].
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Find the bodies."""
+        super().__init__(scene)
         self.recent: list = []
         self.lasting: Any = 0.0
         self.deepest: Any = 0.0

@@ -8,7 +8,7 @@ from warp_rigid.scene.joints import SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
 from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome
-from warp_rigid.scenes.demo import Verdict, indices
+from warp_rigid.scenes.demo import Verdict
 
 BRICK = (0.1, 0.2, 0.1)
 LINKS, LINK = 12, 0.25
@@ -63,18 +63,13 @@ def build(rows: int = 25, columns: int = 20, angle: float = 60.0) -> Scene:
 class DemolitionOutcome(ClosedJointsOutcome):
     """Bricks that were displaced, and how far joints of the chain opened."""
 
-    def __init__(self, scene):
-        """Note the wall."""
-        super().__init__(scene)
-        self.bricks = indices(scene, "brick")
-        self.start = np.array([scene.bodies[brick].position for brick in self.bricks])
+    prefix = "brick_"
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Chain closed, wall broken after the hit."""
-        if self.opened is None or sim.time < HIT:
+        if sim.time < HIT:
             return []
-        moved = np.linalg.norm(sim.get("position")[:, self.bricks] - self.start, axis=-1) > 2.0 * BRICK[0]
-        share = moved.mean(axis=1)
+        share = (self.displacement(sim) > 2.0 * BRICK[0]).mean(axis=1)
         return [
             self.closed_verdict(1e-3),
             Verdict("displaced", share, "more than 5 % of the bricks displaced by their width", share > 0.05, unit="%"),

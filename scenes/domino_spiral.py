@@ -80,8 +80,7 @@ class DominoOutcome(OverlapOutcome):
     def __init__(self, scene):
         """Find the dominoes and whether the first one must fall."""
         super().__init__(scene)
-        position = np.array([scene.bodies[i].position for i in self.bodies])[:, :2]
-        steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        steps = np.linalg.norm(np.diff(self.start[:, :2], axis=0), axis=1)
         self.along = np.concatenate([[0.0], np.cumsum(steps)])
         self.lean = math.degrees(self._lean(np.array([scene.bodies[self.bodies[0]].orientation]))[0])
         self.fell_at = np.inf

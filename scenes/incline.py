@@ -9,7 +9,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import ONE_PASS_2003, below, clearance, indices
+from warp_rigid.scenes.demo import ONE_PASS_2003, SceneOutcome, below, clearance
 
 HALF = 0.05
 PLATFORM_HALF = (1.5, 0.5, 0.1)
@@ -48,35 +48,30 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     return scene
 
 
-class InclineOutcome:
+class InclineOutcome(SceneOutcome):
     """Sliding distance, lift-off and penetration of the block."""
 
+    prefix = "block"
+
     def __init__(self, scene):
-        """Record the start and compute whether friction can hold the block."""
-        (self.block,) = indices(scene, "block")
-        (self.platform,) = indices(scene, "platform")
-        body = scene.bodies[self.block]
-        self.start = np.array(body.position)
+        """Compute whether friction can hold the block."""
+        super().__init__(scene)
+        body = scene.bodies[scene.index("block")]
         slope = 2.0 * math.atan2(body.orientation[1], body.orientation[3])
         self.downhill = np.array([math.cos(slope), 0.0, -math.sin(slope)])
         self.surplus = body.friction - math.tan(slope)
         self.sharp, self.blunt = (margin * math.tan(slope) for margin in MARGINS)
         self.steep = slope > math.radians(5.0)
         self.chatters = body.restitution > 0.9 and self.steep
-        self.lift = self.depth = None
 
     def observe(self, sim):
         """Record the largest height above the platform and the largest penetration."""
-        gap = clearance(sim, self.block, self.platform)
-        self.lift = gap if self.lift is None else np.maximum(self.lift, gap)
-        self.depth = -gap if self.depth is None else np.maximum(self.depth, -gap)
+        gap = clearance(sim, sim.scene.index("block"), sim.scene.index("platform"))
+        self.keep_largest(lift=gap, depth=-gap)
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Sliding distance, lift and penetration, each of which must stay below 1 mm."""
-        if self.lift is None:
-            return []
-        moved = sim.get("position")[:, self.block].astype(np.float64) - self.start
-        slide = moved @ self.downhill
+        slide = (sim.get("position")[:, self.bodies].astype(np.float64) - self.start)[:, 0] @ self.downhill
         sound = {"default": True, "one_pass": True}
         stays = {"default": self.surplus > self.sharp, "one_pass": self.surplus > self.blunt}
         stays = {name: True for name, holds in stays.items() if holds}
@@ -87,8 +82,8 @@ class InclineOutcome:
         sinks = {"no_contact": False}
         return [
             below("slide", slide, 1e-3, "slides < 1 mm downhill", stays | slips | chatters),
-            below("lift", self.lift, 1e-3, "< 1 mm above the platform at any time", stays | chatters),
-            below("depth", self.depth, 1e-3, "< 1 mm inside the platform at any time", sound | sinks),
+            below("lift", self.largest["lift"], 1e-3, "< 1 mm above the platform at any time", stays | chatters),
+            below("depth", self.largest["depth"], 1e-3, "< 1 mm inside the platform at any time", sound | sinks),
         ]
 
 

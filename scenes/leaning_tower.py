@@ -8,7 +8,7 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, stacks
-from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Verdict, below, indices
+from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, SceneOutcome, Verdict, below
 
 HALF = float(stacks.CUBE.half_extents[2])
 PLATFORM_TOP = 0.5
@@ -32,28 +32,26 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     return scene
 
 
-class TowerOutcome:
+class TowerOutcome(SceneOutcome):
     """Whether the tower stands or topples as statics demands."""
+
+    prefix = "box_"
 
     def __init__(self, scene):
         """Compute from statics whether the tower topples."""
-        self.boxes = indices(scene, "box_")
-        self.start = np.array([scene.bodies[i].position for i in self.boxes])
+        super().__init__(scene)
         self.falls = stacks.leaning_tower_falls(self.start[:, 0], HALF)
         near = [stacks.leaning_tower_falls(self.start[:, 0], factor * HALF) for factor in (1 - MARGINAL, 1 + MARGINAL)]
         self.marginal = near[0] != near[1]
 
-    def observe(self, sim):
-        """Measure nothing: only the final state is judged."""
-
     def verdicts(self, sim):
         """Drop of the top box, or displacement of any box, compared with the prediction of statics."""
-        position = sim.get("position")[:, self.boxes].astype(np.float64)
         if self.falls:
-            drop, limit = self.start[-1, 2] - position[:, -1, 2], 0.5 * (self.start[-1, 2] - PLATFORM_TOP)
+            top = sim.get("position")[:, self.bodies[-1], 2].astype(np.float64)
+            drop, limit = self.start[-1, 2] - top, 0.5 * (self.start[-1, 2] - PLATFORM_TOP)
             verdict = Verdict("moved", drop, f"falls: top box drops by > {limit:.2f} m", drop > limit, {}, "m")
         else:
-            moved = np.linalg.norm(position - self.start, axis=-1).max(axis=1)
+            moved = self.displacement(sim).max(axis=1)
             verdict = below("moved", moved, 0.02, "stands: no box moves by 20 mm", {})
         if self.marginal:
             return [verdict]

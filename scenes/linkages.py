@@ -10,7 +10,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import PrismaticJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
-from warp_rigid.scenes.demo import below, indices
+from warp_rigid.scenes.demo import SceneOutcome, below, indices
 
 CRANK, COUPLER, ROCKER, BASE = 0.3, 0.9, 0.7, 1.0
 ROD, AWAY = 0.8, 2.0
@@ -71,42 +71,31 @@ def _drive(scene, joint, speed):
     scene.add_drive(joint, damping=1e4, target_velocity=speed)
 
 
-class LinkageOutcome:
+class LinkageOutcome(SceneOutcome):
     """Distance of the coupler and of the slider from their closed forms, for the angles of the cranks."""
-
-    def __init__(self, scene):
-        """Find the bodies."""
-        self.bodies = {name: indices(scene, name)[0] for name in ("crank", "coupler", "second", "slider")}
-        self.coupler = self.slider = None
 
     def observe(self, sim):
         """Record the largest distances."""
         place = sim.get("position").astype(np.float64)
         orientation = sim.get("orientation").astype(np.float64)
-        tips = {
-            name: CRANK * rotate(orientation[:, self.bodies[name]], np.array([1.0, 0, 0]))[:, :2]
-            for name in ("crank", "second")
-        }
-        b = tips["crank"]
+        at = {name: indices(sim.scene, name)[0] for name in ("crank", "coupler", "second", "slider")}
+        b, second = (
+            CRANK * rotate(orientation[:, at[name]], np.array([1.0, 0, 0]))[:, :2] for name in ("crank", "second")
+        )
         middle = (b + third_corner(b, np.array([BASE, 0.0]), COUPLER, ROCKER)) / 2.0
-        x, y = tips["second"].T
+        x, y = second.T
         expected = np.stack([x + np.sqrt(ROD**2 - y**2), np.full_like(x, AWAY)], axis=-1)
-        self.coupler = _largest(self.coupler, place[:, self.bodies["coupler"], :2] - middle)
-        self.slider = _largest(self.slider, place[:, self.bodies["slider"], :2] - expected)
+        self.keep_largest(
+            coupler=np.linalg.norm(place[:, at["coupler"], :2] - middle, axis=-1),
+            slider=np.linalg.norm(place[:, at["slider"], :2] - expected, axis=-1),
+        )
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Both distances so far."""
-        if self.coupler is None:
-            return []
         return [
-            below("coupler", self.coupler, 1e-4, "coupler within 0.1 mm of its curve"),
-            below("slider", self.slider, 1e-4, "slider within 0.1 mm of its place"),
+            below("coupler", self.largest["coupler"], 1e-4, "coupler within 0.1 mm of its curve"),
+            below("slider", self.largest["slider"], 1e-4, "slider within 0.1 mm of its place"),
         ]
-
-
-def _largest(before, difference):
-    now = np.linalg.norm(difference, axis=-1)
-    return now if before is None else np.maximum(before, now)
 
 
 SUMMARY = "a four-bar linkage and a slider-crank turn; both follow their closed forms"

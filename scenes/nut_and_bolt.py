@@ -8,7 +8,7 @@ from warp_rigid.checks import number_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, screw_threads
-from warp_rigid.scenes.demo import OverlapOutcome, Verdict, below, indices
+from warp_rigid.scenes.demo import OverlapOutcome, Verdict, below
 
 THREAD = screw_threads.Thread()
 LENGTH, NUT_HEIGHT, HEAD_HEIGHT, ACROSS_FLATS = 0.14, 0.06, 0.04, 0.12
@@ -59,15 +59,16 @@ def acceleration(friction: float, inertia: float) -> float:
 class NutOutcome(OverlapOutcome):
     """Whether the nut turns down or is held, how well it follows the thread, and how fast."""
 
+    prefix = "nut"
+
     def __init__(self, scene):
         """Compute from the friction what must happen."""
         super().__init__(scene)
-        (self.nut,) = indices(scene, "nut")
+        (self.nut,) = self.bodies
         body = scene.bodies[self.nut]
         solid = body.shape.mass_properties
-        self.friction, self.start = body.friction, float(body.position[2])
+        self.friction = body.friction
         self.acceleration = acceleration(self.friction, solid.inertia[2, 2] / solid.volume)
-        self.off_thread = 0.0
         self.angle = self.turned = self.before = self.passed_at = None
 
     def observe(self, sim):
@@ -81,24 +82,22 @@ class NutOutcome(OverlapOutcome):
             self.before = (0.0, np.zeros(len(angle)))
         self.turned = self.turned + (angle - self.angle + np.pi) % (2.0 * np.pi) - np.pi
         self.angle = angle
-        drop = self.start - sim.get("position")[:, self.nut, 2].astype(np.float64)
-        if np.all(drop < START):
-            helix = THREAD.pitch * self.turned / (2.0 * np.pi)
-            self.off_thread = np.maximum(self.off_thread, np.abs(drop + helix))
+        drop = self.start[0, 2] - sim.get("position")[:, self.nut, 2].astype(np.float64)
+        helix = THREAD.pitch * self.turned / (2.0 * np.pi)
+        self.keep_largest(off_thread=np.where(np.all(drop < START), np.abs(drop + helix), 0.0))
         time, earlier = self.before
         passing = np.isnan(self.passed_at) & (drop >= HALF_WAY)
         part = (HALF_WAY - earlier[passing]) / (drop - earlier)[passing]
         self.passed_at[passing] = time + part * (float(sim.time) - time)
         self.before = (float(sim.time), drop)
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Descent or lock, distance from the thread, time to half-way, and overlap."""
-        if self.angle is None:
-            return []
         drop = self.before[1]
         sure = {"default": True} if abs(self.friction / CRITICAL_FRICTION - 1.0) > MARGIN else {}
         overlap = self.overlap_verdicts(sim, 2e-4, 1e-3)
-        follows = below("off_thread", self.off_thread, 1e-3, "within 1 mm of the thread, on 40 mm a turn", sure)
+        text = "within 1 mm of the thread, on 40 mm a turn"
+        follows = below("off_thread", self.largest["off_thread"], 1e-3, text, sure)
         if self.friction >= CRITICAL_FRICTION:
             return [below("drop", drop, 1e-3, "held: the nut sinks by < 1 mm", sure), follows, *overlap]
         exact = math.sqrt(2.0 * HALF_WAY / self.acceleration)

@@ -2,14 +2,12 @@
 
 import math
 
-import numpy as np
-
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
-from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Verdict, below, clearance, indices
+from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, SceneOutcome, Verdict, below, clearance
 
 BASE_HALF = (1.0, 0.25, 0.5)
 PLANK_HALF = (1.25, 0.3, 0.05)
@@ -41,39 +39,32 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
     return scene
 
 
-class LaunchOutcome:
+class LaunchOutcome(SceneOutcome):
     """Height of the small boxes' flight, and penetration of the plank into the base."""
 
+    prefix = "small_"
+
     def __init__(self, scene):
-        """Record the start."""
-        self.small = indices(scene, "small_")
-        (self.plank,) = indices(scene, "plank")
-        (self.base,) = indices(scene, "base")
-        self.start = np.array([scene.bodies[i].position[2] for i in self.small])
-        (large,) = indices(scene, "large")
-        drop = scene.bodies[large].position[2] - LARGE_HALF - 2.0 * (BASE_HALF[2] + PLANK_HALF[2])
+        """Compute until when the launch lasts."""
+        super().__init__(scene)
+        drop = scene.bodies[scene.index("large")].position[2] - LARGE_HALF - 2.0 * (BASE_HALF[2] + PLANK_HALF[2])
         self.launched = math.sqrt(2.0 * drop / -scene.gravity[2]) + LAUNCH_LASTS
-        self.rise = self.depth = None
 
     def observe(self, sim):
         """Record each small box's largest rise, and the plank's deepest penetration during the launch."""
-        rise = sim.get("position")[:, self.small, 2] - self.start
-        self.rise = rise if self.rise is None else np.maximum(self.rise, rise)
+        self.keep_largest(rises=sim.get("position")[:, self.bodies, 2] - self.start[:, 2])
         if sim.time < self.launched:
-            depth = -clearance(sim, self.plank, self.base)
-            self.depth = depth if self.depth is None else np.maximum(self.depth, depth)
+            self.keep_largest(depth=-clearance(sim, sim.scene.index("plank"), sim.scene.index("base")))
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """The smallest rise, and the penetration, which must stay below 2 % of the plank's thickness."""
-        if self.rise is None:
-            return []
-        least = self.rise.min(axis=1)
+        least = self.largest["rises"].min(axis=1)
         limit = 0.02 * 2.0 * PLANK_HALF[2]
         text = f"plank in base < {1e3 * limit:g} mm during the launch"
         sound = {"default": True, "one_pass": True}
         verdicts = [Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound, "m")]
-        if self.depth is not None:
-            verdicts.append(below("depth", self.depth, limit, text, sound))
+        if "depth" in self.largest:
+            verdicts.append(below("depth", self.largest["depth"], limit, text, sound))
         return verdicts
 
 

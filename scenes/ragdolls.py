@@ -3,7 +3,7 @@
 import numpy as np
 
 from warp_rigid.checks import whole_in
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.builders.jointed import ROLLING, ClosedJointsOutcome, add_ragdoll
 from warp_rigid.scenes.demo import below, rest_verdict
@@ -35,15 +35,10 @@ def build(dolls: int = 4) -> Scene:
 class RagdollOutcome(ClosedJointsOutcome):
     """How far joints open, whether any body leaves the pit, and rest."""
 
-    def __init__(self, scene):
-        """Find the bodies."""
-        super().__init__(scene)
-        self.bodies = [i for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
+    prefix = "doll_"
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Joints closed, all bodies in the pit, and at rest."""
-        if self.opened is None:
-            return []
         place = sim.get("position")[:, self.bodies]
         out = np.maximum(np.abs(place[..., :2]).max(-1) - WIDTH / 2, -place[..., 2]).max(axis=1)
         return [

@@ -16,7 +16,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Cylinder
 from warp_rigid.scenes.builders import assortment, grounds, meshes
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, OverlapOutcome, Verdict, indices, start_apart
+from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, OverlapOutcome, Verdict, indices, vary_starts
 
 MASS = 10.0
 SURFACE: dict[str, Any] = {"friction": 0.6, "restitution": 0.3}
@@ -47,7 +47,7 @@ def build(rings: int = 12, poles: int = 4, seed: int = 0) -> Scene:
     """
     rings = whole_in("rings", rings, 1, 2000)
     side = _side(poles)
-    position, orientation = starts(rings, side, seed)
+    position, orientation = starts(rings, poles, seed)
     scene = grounds.level_scene(name="ground", **SURFACE)
     scene.camera = Camera.orbit(-67.0, 20.0)
     pole = Cylinder(POLE_RADIUS, POLE_HALF_HEIGHT)
@@ -58,13 +58,13 @@ def build(rings: int = 12, poles: int = 4, seed: int = 0) -> Scene:
     return scene
 
 
-def starts(rings: int, side: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def starts(rings: int, poles: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Starts of the rings: positions (rings, 3) [m] and unit quaternions (rings, 4), without overlap.
 
     A position is drawn again until it is a ring's width away from all earlier ones (random sequential packing).
     """
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 3))
-    radius, lowest = CYLINDER_A_SIDE * side, LOWEST_A_SIDE * side
+    radius, lowest = CYLINDER_A_SIDE * _side(poles), LOWEST_A_SIDE * _side(poles)
     height = rings * VOLUME_A_RING / (math.pi * radius**2)
     places = np.zeros((0, 3))
     while len(places) < rings:
@@ -139,12 +139,8 @@ class RingsOutcome(OverlapOutcome):
         ]
 
 
-def vary(sim, rings, poles, seed, **_):
-    """Give environment e the starts of the scene with seed + e."""
-    start_apart(sim, indices(sim.scene, "ring_"), lambda env: starts(rings, _side(poles), seed + env))
-
-
 SUMMARY = "rings fall on a field of poles, thread, lean and interlock"
 outcome = RingsOutcome
 DURATION = 8.0
 VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
+vary = vary_starts("ring_", starts)

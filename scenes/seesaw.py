@@ -10,7 +10,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import ONE_PASS_2003, Verdict, indices
+from warp_rigid.scenes.demo import ONE_PASS_2003, SceneOutcome, Verdict
 
 PIVOT_HEIGHT = 0.35
 PLANK_HALF = (1.2, 0.25, 0.04)
@@ -66,40 +66,33 @@ def _add_turning(scene, name, half_extents, place, mass, friction):
     )
 
 
-class SeesawOutcome:
+class SeesawOutcome(SceneOutcome):
     """The plank's largest tilt to the right, and the largest tilt to the left after that."""
 
     def __init__(self, scene):
-        """Find the plank."""
-        (self.plank,) = indices(scene, "plank")
-        (large,), (small,) = indices(scene, "large"), indices(scene, "small")
-        moments = [scene.bodies[i].mass * scene.bodies[i].position[0] for i in (large, small)]
+        """Compute whether the large block outweighs the small one."""
+        super().__init__(scene)
+        blocks = [scene.bodies[scene.index(name)] for name in ("large", "small")]
+        moments = [block.mass * block.position[0] for block in blocks]
         self.uneven = sum(moments) > 0.1 * moments[0]
-        self.right = self.left = None
 
     def observe(self, sim):
         """Record the largest tilts; tilt to the left counts only after the plank has tipped right."""
-        orientation = sim.get("orientation")[:, self.plank].astype(np.float64)
+        orientation = sim.get("orientation")[:, sim.scene.index("plank")].astype(np.float64)
         along = rotate(orientation, np.broadcast_to([1.0, 0.0, 0.0], (len(orientation), 3)))
         tilt = np.degrees(np.arcsin(np.clip(-along[:, 2], -1.0, 1.0)))
-        if self.right is None:
-            self.right = np.zeros(len(tilt))
-            self.left = np.zeros(len(tilt))
-        self.right = np.maximum(self.right, tilt)
-        counts = self.right > TIPPED
-        self.left = np.where(counts, np.maximum(self.left, -tilt), self.left)
+        self.keep_largest(right=np.maximum(0.0, tilt))
+        self.keep_largest(left=np.where(self.largest["right"] > TIPPED, np.maximum(0.0, -tilt), 0.0))
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Both tilts, which must exceed 10 degrees."""
-        if self.right is None:
-            return []
         # There is no expectation if the blocks nearly balance or the small one is heavier.
         tips = {"default": True, "one_pass": True, "no_contact": True} if self.uneven else {}
         back = tips | {"no_contact": False} if self.uneven else {}
-        text = f"tips right > {TIPPED:g} degrees", f"then left > {TIPPED:g} degrees"
+        right, left = self.largest["right"], self.largest["left"]
         return [
-            Verdict("tips", self.right, text[0], self.right > TIPPED, tips, "degrees"),
-            Verdict("tips_back", self.left, text[1], self.left > TIPPED, back, "degrees"),
+            Verdict("tips", right, f"tips right > {TIPPED:g} degrees", right > TIPPED, tips, "degrees"),
+            Verdict("tips_back", left, f"then left > {TIPPED:g} degrees", left > TIPPED, back, "degrees"),
         ]
 
 

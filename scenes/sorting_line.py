@@ -11,7 +11,7 @@ from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import ONE_PASS_2003, Verdict, indices
+from warp_rigid.scenes.demo import ONE_PASS_2003, SceneOutcome, Verdict
 
 GRAVITY = 9.81
 SIZES = {"small": 0.07, "medium": 0.1, "large": 0.13}
@@ -94,28 +94,29 @@ def arm_path(parcels: int, speed: float, friction: float) -> PosePath:
     )
 
 
-class SortingOutcome:
+class SortingOutcome(SceneOutcome):
     """Parcels in their bins, their way on the belt, and their speed along the arm."""
 
+    prefix = "parcel_"
+
     def __init__(self, scene):
-        """Note the start, and which parcels are large."""
-        self.parcels = indices(scene, "parcel_")
-        self.large = np.array([scene.bodies[i].name.endswith("large") for i in self.parcels])
-        self.start = np.array([scene.bodies[i].position[0] for i in self.parcels])
+        """Note which parcels are large."""
+        super().__init__(scene)
+        self.large = np.array([scene.bodies[i].name.endswith("large") for i in self.bodies])
         belt = scene.bodies[scene.index("belt")]
         self.speed, self.friction = belt.surface_velocity[0], belt.friction
-        self.error = self.along = None
+        self.along = None
 
     def observe(self, sim):
         """Compare the ways of parcels before the arm with the closed form; record speeds along the closed arm."""
-        x, y, _ = np.moveaxis(sim.get("position")[:, self.parcels].astype(np.float64), -1, 0)
+        x, y, _ = np.moveaxis(sim.get("position")[:, self.bodies].astype(np.float64), -1, 0)
         expected = way_of_parcel(float(sim.time), self.speed, self.friction)
-        before = self.start + expected < -BEFORE
+        start = self.start[:, 0]
+        before = start + expected < -BEFORE
         # Steps of dt add speed dt / 2 to a way.
         if expected > LEAST_WAY and before.any():
-            error = np.abs((x - self.start)[:, before] / expected - 1.0).max(axis=1)
-            self.error = error if self.error is None else np.maximum(self.error, error)
-        speed = np.linalg.norm(sim.get("linear_velocity")[:, self.parcels], axis=-1)
+            self.keep_largest(error=np.abs((x - start)[:, before] / expected - 1.0).max(axis=1))
+        speed = np.linalg.norm(sim.get("linear_velocity")[:, self.bodies], axis=-1)
         slides = self.large & (np.abs(y - 0.5 * HALF_WIDTH) < 0.25 * HALF_WIDTH)
         now = np.where(slides.any(axis=1), (speed * slides).max(axis=1), np.nan)
         self.along = now if self.along is None else np.where(np.isnan(now), self.along, now)
@@ -125,22 +126,22 @@ class SortingOutcome:
         if self.along is None:
             return []
         sound = {"default": True, "one_pass": True}
-        x, y, z = np.moveaxis(sim.get("position")[:, self.parcels].astype(np.float64), -1, 0)
+        x, y, z = np.moveaxis(sim.get("position")[:, self.bodies].astype(np.float64), -1, 0)
         place = np.where(self.large[:, None], BINS["side"], BINS["straight"])
         inside = (np.abs(x - place[:, 0]) < BIN_HALF) & (np.abs(y - place[:, 1]) < BIN_HALF) & (z < TOP)
         count = inside.sum(axis=1)
         found = []
-        if self.error is not None:
-            error = self.error
+        if "error" in self.largest:
+            error = self.largest["error"]
             found.append(Verdict("way_error", error, "way on the belt within 1 %", error < 0.01, sound, "%"))
         if not np.isnan(self.along).any():
             expected = self.speed * math.cos(math.radians(ANGLE))
             passed = np.abs(self.along / expected - 1.0) < 0.05
             text = f"slides along the arm within 5 % of {expected:.3f} m/s"
             found.append(Verdict("slide", self.along, text, passed, sound, "m/s"))
-        if way_of_parcel(float(sim.time), self.speed, self.friction) > END + 0.5 - self.start.min():
-            text = f"all {len(self.parcels)} parcels in their bins"
-            found.insert(0, Verdict("sorted", count, text, count == len(self.parcels), sound))
+        if way_of_parcel(float(sim.time), self.speed, self.friction) > END + 0.5 - self.start[:, 0].min():
+            text = f"all {len(self.bodies)} parcels in their bins"
+            found.insert(0, Verdict("sorted", count, text, count == len(self.bodies), sound))
         return found
 
 

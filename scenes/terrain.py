@@ -65,31 +65,23 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 class SlideOutcome(OverlapOutcome):
     """Whether all bodies stay above the terrain and their energy never increases."""
 
-    def __init__(self, scene):
-        """Find the bodies."""
-        super().__init__(scene)
-        self.sunk = 0
-        self.first = self.last = None
-        self.gain = 0.0
+    first = last = None
+    """Energy of the first frame and of the last one, (envs,) [J]."""
 
     def observe(self, sim):
         """Record overlap, bodies below the surface, and the largest increase of energy from frame to frame."""
         super().observe(sim)
         _, above = above_heightfield(sim, self.bodies, 0.5 * EXTENT)
-        self.sunk = np.maximum(self.sunk, (~above).sum(axis=1))
         energy = (sim.get("kinetic_energy") + sim.get("potential_energy"))[:, self.bodies].sum(axis=1)
         if self.last is None:
-            self.first = np.maximum(np.abs(energy), 1e-9)
-        else:
-            self.gain = np.maximum(self.gain, (energy - self.last) / self.first)
+            self.first, self.last = np.maximum(np.abs(energy), 1e-9), energy
+        gain = np.maximum((energy - self.last) / self.first, 0.0)
+        self.keep_largest(sunk=(~above).sum(axis=1), gain=gain)
         self.last = energy
 
-    def verdicts(self, sim):
+    def judge(self, sim):
         """Bodies below the surface, energy gained, overlap."""
-        if self.last is None:
-            return []
-        sunk = np.broadcast_to(self.sunk, sim.num_envs)
-        gain = np.broadcast_to(self.gain, sim.num_envs)
+        sunk, gain = self.largest["sunk"], self.largest["gain"]
         return [
             Verdict("sunk", sunk, "no body below the surface or beyond its edge at any time", sunk == 0),
             below("gain", gain, 1e-3, "energy increase < 0.1 % in every frame", unit="%"),

@@ -281,7 +281,7 @@ def test_environments_of_a_batch_start_each_in_their_own_way(name, prefix, param
 
 def test_the_papers_counts():
     """500 rings between 30 and 330 m over 25 poles; 300 craniums, 150 pelvises and 50 femurs."""
-    rings, _ = rings_on_poles.starts(500, 5, 0)
+    rings, _ = rings_on_poles.starts(500, 25, 0)
     assert 30.0 <= rings[:, 2].min() < 32.0 and 328.0 < rings[:, 2].max() <= 330.0
     assert 19.0 < np.linalg.norm(rings[:, :2], axis=1).max() <= 20.0
     feet = [body.position[:2] for body in scenes.load("rings_on_poles", rings=1, poles=25).bodies[1:26]]

@@ -8,7 +8,7 @@ from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.scene.joints import RevoluteJoint, SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
-from warp_rigid.scenes.demo import Verdict, below
+from warp_rigid.scenes.demo import SceneOutcome, Verdict, below
 
 X = (1.0, 0.0, 0.0)
 PASSIVE = 0.5
@@ -28,26 +28,16 @@ def anchor_errors(sim: Any) -> np.ndarray:
     return np.stack(apart, axis=1)
 
 
-class ClosedJointsOutcome:
-    """Base of the outcomes that judge how far joints open.
-
-    Attributes:
-        opened: largest gap of a joint of each environment so far, (envs,) [m]; None before the first frame.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        """Nothing has been seen yet."""
-        self.opened: np.ndarray | None = None
+class ClosedJointsOutcome(SceneOutcome):
+    """Base of the outcomes that judge how far joints open."""
 
     def observe(self, sim: Any) -> None:
         """Record the largest gap of a joint."""
-        now = anchor_errors(sim).max(axis=1)
-        self.opened = now if self.opened is None else np.maximum(self.opened, now)
+        self.keep_largest(opened=anchor_errors(sim).max(axis=1))
 
     def closed_verdict(self, limit: float) -> Verdict:
         """Verdict: no joint has opened by `limit` [m]."""
-        assert self.opened is not None
-        return below("opened", self.opened, limit, f"no joint open by {1e3 * limit:g} mm")
+        return below("opened", self.largest["opened"], limit, f"no joint open by {1e3 * limit:g} mm")
 
 
 def add_ragdoll(scene: Scene, place: Any, name: str, damping: float = PASSIVE) -> None:

@@ -214,7 +214,7 @@ SCENES: dict[str, BenchmarkScene] = {
     "rings": BenchmarkScene(
         lambda rings: rings_on_poles.build(rings, _poles_a_side(rings) ** 2),
         half_width=lambda rings: rings_on_poles.LOST * rings_on_poles.CYLINDER_A_SIDE * _poles_a_side(rings),
-        vary=_apart(lambda rings, env: rings_on_poles.starts(rings, _poles_a_side(rings), env)),
+        vary=_apart(lambda rings, env: rings_on_poles.starts(rings, _poles_a_side(rings) ** 2, env)),
         max_bodies=2000,
     ),
     "pyramid": BenchmarkScene(
