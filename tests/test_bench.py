@@ -21,7 +21,7 @@ NAMES = [find_case(text) for text in STANDARD]
 
 FAKE = '''"""An engine that lets everything fall without contacts, or fails."""
 import sys
-from problem import PeerProblem, main, timed, write
+from problem import timed
 
 def run(problem):
     import numpy as np
@@ -36,17 +36,16 @@ def run(problem):
         print("Warning: Triangle pair buffer overflowed 2000 > 1000.")
     gravity = np.array(problem.gravity)
     velocity = np.broadcast_to(gravity * time, problem.position.shape)
-    figures = {"engine": "mujoco", "version": "1", "device": "cpu", "collider": "none", **seconds}
-    write(figures, problem.position + 0.5 * gravity * time**2, problem.orientation, velocity)
-
-main(run)
+    figures = {"version": "1", "device": "cpu", "collider": "none", **seconds}
+    return figures, problem.position + 0.5 * gravity * time**2, problem.orientation, velocity
 '''
 
 
 @pytest.fixture
 def fake_peer(tmp_path, monkeypatch):
     """A folder of programs with one for the name mujoco that needs no engine."""
-    (tmp_path / "problem.py").write_text((peers.FOLDER / "problem.py").read_text())
+    for name in ("run.py", "problem.py"):
+        (tmp_path / name).write_text((peers.FOLDER / name).read_text())
     (tmp_path / "run_mujoco.py").write_text(FAKE)
     monkeypatch.setattr(peers, "FOLDER", tmp_path)
 
@@ -293,7 +292,7 @@ def test_arms_turn_to_targets_of_their_own():
 def test_other_engines_get_the_hinges_and_their_targets(tmp_path):
     case = find_case("arm:3")
     sim = Simulator(case.build(), 2, device="cpu")
-    peers.write_problem(tmp_path / "problem.npz", case, measure.Conditions(2, 4, 0, 1), sim)
+    peers.write_problem(tmp_path / "problem.npz", "mujoco", case, measure.Conditions(2, 4, 0, 1), sim)
     with np.load(tmp_path / "problem.npz") as file:
         problem = {name: file[name] for name in file.files}
     hinges = json.loads(str(problem["figures"]))["hinges"]

@@ -1,7 +1,7 @@
 """Other engines from the same start, each in a separate process and Python environment.
 
-A program of `programs` reads a problem (.npz), simulates it, and writes its results. The program measures its
-speed; quality is measured here, with the same measures for all engines.
+`programs/run.py` reads a problem (.npz), runs the program of the engine's package, and writes the results. The program
+measures its speed; quality is measured here, with the same measures for all engines.
 """
 
 import json
@@ -82,8 +82,9 @@ def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions
         return _fault(name, case, conditions, "its program sets up no joints")
     with tempfile.TemporaryDirectory() as folder:
         problem, result = Path(folder) / "problem.npz", Path(folder) / "result.npz"
-        write_problem(problem, case, conditions, sim)
-        command = [python, str(FOLDER / f"run_{name}.py"), str(problem), str(result)]
+        write_problem(problem, name, case, conditions, sim)
+        program = f"run_{PACKAGES[name].replace('-', '_')}"
+        command = [python, str(FOLDER / "run.py"), program, str(problem), str(result)]
         # The variables of this Python environment must not affect the other interpreter's imports.
         surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
         try:
@@ -101,7 +102,7 @@ def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions
             return _read_result(case, conditions, sim, {key: found[key] for key in found.files})
 
 
-def write_problem(path: Path, case: BenchmarkCase, conditions: Conditions, sim: Simulator) -> None:
+def write_problem(path: Path, engine: str, case: BenchmarkCase, conditions: Conditions, sim: Simulator) -> None:
     """Write a case as plain arrays: starts, the bodies' common shape, mass and inertia, static bodies, and hinges."""
     scene = case.build()
     body = scene.bodies[moving(scene)[0]]
@@ -122,6 +123,7 @@ def write_problem(path: Path, case: BenchmarkCase, conditions: Conditions, sim: 
     if scene.joints:
         arrays["targets"] = sim.get("joint_target_position").astype(np.float64)
     figures = {
+        "engine": engine,
         "mass": body.mass,
         "density": density,
         "friction": body.friction,

@@ -1,12 +1,11 @@
-"""Shared by the programs of this folder: reading a problem, timing a run, writing the results.
+"""Shared by the programs of this folder: reading a problem, and timing a run.
 
 Only NumPy is needed here, so that each engine can run in a separate Python environment; convex parts of meshes need
-coacd.
+coacd, and engines on Warp need it.
 """
 
 import hashlib
 import json
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -15,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-NOT_INSTALLED = 3
 COACD_THRESHOLD = 0.05
 
 
@@ -23,6 +21,7 @@ class PeerProblem:
     """Bodies of one shape above the ground plane z = 0, in several environments.
 
     Attributes:
+        engine: name of the engine.
         position: (envs, bodies, 3) [m].
         orientation: (envs, bodies, 4) unit quaternions (x, y, z, w).
         half_extents: (3,) of a box, or None for a mesh [m].
@@ -107,10 +106,30 @@ def timed_one_by_one(problem: PeerProblem, advance: Callable[[int, int], None]) 
     return {**total, "environment_seconds": [one["processor_seconds"] for one in each]}
 
 
-def write(figures: dict, position: np.ndarray, orientation: np.ndarray, linear_velocity: np.ndarray) -> None:
-    """Write figures and final states, orientations as (x, y, z, w), to the path of the command line."""
-    states = {"position": position, "orientation": orientation, "linear_velocity": linear_velocity}
-    np.savez(sys.argv[2], figures=json.dumps(figures), **states)
+def timed_on_device(problem: PeerProblem, frame: Callable[[], None], restart: Callable[[], None]) -> dict[str, float]:
+    """Settle and time all environments together, on Warp's current device; a frame is one graph on CUDA.
+
+    Args:
+        problem: gives the number of frames.
+        frame: simulates a frame.
+        restart: sets the state at the start.
+    """
+    import warp as wp
+
+    frame()  # compiles
+    graph = None
+    if wp.get_device().is_cuda:
+        with wp.ScopedCapture() as capture:
+            frame()
+        graph = capture.graph
+    restart()
+
+    def advance(frames: int) -> None:
+        for _ in range(frames):
+            frame() if graph is None else wp.capture_launch(graph)
+        wp.synchronize_device()
+
+    return timed(problem, advance)
 
 
 def as_obj(parts: list[tuple[np.ndarray, np.ndarray]]) -> str:
@@ -122,12 +141,3 @@ def as_obj(parts: list[tuple[np.ndarray, np.ndarray]]) -> str:
         lines += [f"f {a} {b} {c}" for a, b, c in np.asarray(faces) + first]
         first += len(vertices)
     return "\n".join(lines) + "\n"
-
-
-def main(run: Callable[[PeerProblem], None]) -> None:
-    """Run a program on the problem of the command line; exit with NOT_INSTALLED if the engine is missing."""
-    try:
-        run(PeerProblem(sys.argv[1]))
-    except ModuleNotFoundError as error:
-        print(f"{error.name} is not installed", file=sys.stderr)
-        sys.exit(NOT_INSTALLED)

@@ -1,14 +1,13 @@
 """MuJoCo on one core of the CPU."""
 
-from problem import PeerProblem, main, timed_one_by_one, write
+import mujoco
+import mujoco_model
+import numpy as np
+from problem import PeerProblem, timed_one_by_one
 
 
-def run(problem: PeerProblem) -> None:
+def run(problem: PeerProblem) -> tuple:
     """Step one environment after another."""
-    import mujoco
-    import mujoco_model
-    import numpy as np
-
     model, collider = mujoco_model.build(problem)
     worlds = [mujoco.MjData(model) for _ in range(problem.num_envs)]
     for world, start in zip(worlds, mujoco_model.starts(problem), strict=True):
@@ -21,7 +20,6 @@ def run(problem: PeerProblem) -> None:
         mujoco.mj_step(model, worlds[env], nstep=frames * problem.substeps)
 
     figures = {
-        "engine": "mujoco",
         "version": mujoco.__version__,
         "collider": collider,
         "device": "cpu",
@@ -29,8 +27,4 @@ def run(problem: PeerProblem) -> None:
         "contacts": int(sum(world.ncon for world in worlds)),
     }
     positions, velocities = np.array([w.qpos for w in worlds]), np.array([w.qvel for w in worlds])
-    write(figures, *mujoco_model.final(model, positions, velocities, problem))
-
-
-if __name__ == "__main__":
-    main(run)
+    return figures, *mujoco_model.final(model, positions, velocities, problem)

@@ -1,6 +1,10 @@
-"""MuJoCo Warp on the device of the problem; a frame is one graph where the device has graphs."""
+"""MuJoCo Warp on the device of the problem."""
 
-from problem import PeerProblem, main, timed, write
+import mujoco_model
+import mujoco_warp
+import numpy as np
+import warp as wp
+from problem import PeerProblem, timed_on_device
 
 PER_BODY = {"box": 12, "octree of distances": 120}
 """Capacity for contacts and candidate pairs per body, by collider; an overflow is a fault."""
@@ -8,20 +12,13 @@ JOINTED = 2
 """The same for bodies that are joined, which touch little."""
 
 
-def run(problem: PeerProblem) -> None:
+def run(problem: PeerProblem) -> tuple:
     """Step all worlds together."""
-    import mujoco_warp
-    import numpy as np
-    import warp as wp
-
     wp.config.log_level = wp.LOG_WARNING
-    import mujoco_model
-
     host, collider = mujoco_model.build(problem)
     capacity = JOINTED * problem.num_bodies if problem.hinges else PER_BODY[collider] * problem.num_bodies + 32
     rows = 4 * capacity + len(problem.hinges)
     with wp.ScopedDevice(problem.device):
-        device = wp.get_device(problem.device)
         model = mujoco_warp.put_model(host)
         state = mujoco_warp.make_data(host, nworld=problem.num_envs, nconmax=capacity, njmax=rows)
 
@@ -38,32 +35,14 @@ def run(problem: PeerProblem) -> None:
                 mujoco_warp.step(model, state)
 
         restart()
-        frame()  # compiles
-        graph = None
-        if device.is_cuda:
-            with wp.ScopedCapture() as capture:
-                frame()
-            graph = capture.graph
-        restart()
-
-        def advance(frames: int) -> None:
-            for _ in range(frames):
-                frame() if graph is None else wp.capture_launch(graph)
-            wp.synchronize_device(device)
-
-        seconds = timed(problem, advance)
+        seconds = timed_on_device(problem, frame, restart)
         if state.overflow.numpy().any():
             raise RuntimeError(f"its capacity of {capacity} contacts per world overflowed")
         figures = {
-            "engine": "mujoco_warp",
             "version": mujoco_warp.__version__,
             "collider": collider,
-            "device": str(device),
+            "device": problem.device,
             **seconds,
             "contacts": int(state.nacon.numpy()[0]),
         }
-        write(figures, *mujoco_model.final(host, state.qpos.numpy(), state.qvel.numpy(), problem))
-
-
-if __name__ == "__main__":
-    main(run)
+        return figures, *mujoco_model.final(host, state.qpos.numpy(), state.qvel.numpy(), problem)

@@ -3,20 +3,19 @@
 import tempfile
 from pathlib import Path
 
-from problem import PeerProblem, as_obj, main, timed_one_by_one, write
+import numpy as np
+import pybullet
+from problem import PeerProblem, as_obj, timed_one_by_one
 
 
-def run(problem: PeerProblem) -> None:
+def run(problem: PeerProblem) -> tuple:
     """Step one client per environment."""
-    import numpy as np
-    import pybullet
-
     parts = None if problem.vertices is None else problem.convex_parts()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "parts.obj"
         if parts is not None:
             path.write_text(as_obj(parts))
-        worlds = [_world(pybullet, problem, path, env) for env in range(problem.num_envs)]
+        worlds = [_world(problem, path, env) for env in range(problem.num_envs)]
 
     def advance(env: int, frames: int) -> None:
         for _ in range(frames * problem.substeps):
@@ -28,7 +27,6 @@ def run(problem: PeerProblem) -> None:
     # The eighth item of a contact is its gap.
     touching = sum(point[8] <= 0.0 for c, _ in worlds for point in pybullet.getContactPoints(physicsClientId=c) or ())
     figures = {
-        "engine": "pybullet",
         "version": str(pybullet.getAPIVersion()),
         "collider": "box" if parts is None else f"{len(parts)} convex parts",
         "device": "cpu",
@@ -36,10 +34,10 @@ def run(problem: PeerProblem) -> None:
         "contacts": touching,
     }
     places, orientation = (np.array([[pose[k] for pose in row] for row in poses]) for k in (0, 1))
-    write(figures, places, orientation, np.array(speeds))
+    return figures, places, orientation, speeds
 
 
-def _world(pybullet, problem: PeerProblem, path: Path, env: int) -> tuple[int, list[int]]:
+def _world(problem: PeerProblem, path: Path, env: int) -> tuple[int, list[int]]:
     """Client and its bodies, without sleeping and damping."""
     client = pybullet.connect(pybullet.DIRECT)
     own = {"physicsClientId": client}
@@ -49,7 +47,7 @@ def _world(pybullet, problem: PeerProblem, path: Path, env: int) -> tuple[int, l
     surface = {"lateralFriction": problem.friction**0.5, "restitution": problem.restitution}
     still = [pybullet.createMultiBody(0, pybullet.createCollisionShape(pybullet.GEOM_PLANE, **own), **own)]
     for part in problem.fixed:
-        shape = _fixed(pybullet, part, own)
+        shape = _fixed(part, own)
         still.append(pybullet.createMultiBody(0, shape, basePosition=part["position"], **own))
     for body in still:
         pybullet.changeDynamics(body, -1, **surface, **own)
@@ -75,12 +73,8 @@ def _world(pybullet, problem: PeerProblem, path: Path, env: int) -> tuple[int, l
     return client, bodies
 
 
-def _fixed(pybullet, part: dict, own: dict) -> int:
+def _fixed(part: dict, own: dict) -> int:
     if part["kind"] == "box":
         return pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=part["half_extents"], **own)
     sizes = {"radius": part["radius"], "height": 2.0 * part["half_height"]}
     return pybullet.createCollisionShape(pybullet.GEOM_CYLINDER, **sizes, **own)
-
-
-if __name__ == "__main__":
-    main(run)

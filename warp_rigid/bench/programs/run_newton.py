@@ -1,17 +1,14 @@
-"""The problem in Newton, for the programs of its solvers; a frame is one graph on CUDA.
+"""Newton with its Steel or its XPBD solver on the device of the problem.
 
 Meshes collide by distance grids on CUDA, by queries of the triangles on the CPU, which has no such grids. Buffers are
 larger than Newton's estimates, which overflow in piles of meshes; Newton prints an overflow, which `warp-rigid bench`
 reports.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import newton
 import numpy as np
 import warp as wp
-from problem import PeerProblem, timed, write
+from problem import PeerProblem, timed_on_device
 
 GAP, RESOLUTION = 0.01, 64
 """Values from its examples: contact distance [m], cells along the longest side."""
@@ -20,16 +17,12 @@ TRIANGLE_PAIRS = 2
 """Capacity for pairs of close triangles, per triangle of every body."""
 EXPLICIT_UP_TO = 64
 """Up to this number of bodies its list of all pairs is faster than its sweep."""
+ITERATIONS = {"newton_steel": 12, "newton_xpbd": 10}
+"""Those of the examples of Steel; those of XPBD use 2 to 20, at ten steps a frame."""
 
 
-def run(problem: PeerProblem, solver_of: Callable[[Any, int], Any], figures: dict[str, Any]) -> None:
-    """Step all worlds together and write the results.
-
-    Args:
-        problem: the problem.
-        solver_of: function of the model and the largest number of contacts of a world that returns a solver.
-        figures: name of the engine and settings of the solver, for the results.
-    """
+def run(problem: PeerProblem) -> tuple:
+    """Step all worlds together."""
     wp.config.log_level = wp.LOG_ERROR
     with wp.ScopedDevice(problem.device):
         device = wp.get_device(problem.device)
@@ -39,7 +32,7 @@ def run(problem: PeerProblem, solver_of: Callable[[Any, int], Any], figures: dic
         capacity = CONTACTS_PER_BODY[crowd] * problem.num_bodies
         pipeline = _pipeline(model, problem, capacity)
         contacts = pipeline.contacts()
-        solver = solver_of(model, capacity)
+        solver = _solver(problem, model, capacity)
         state = _States(model)
         if problem.hinges:
             state.control.joint_target_q.assign(problem.targets.astype(np.float32).ravel())
@@ -55,21 +48,9 @@ def run(problem: PeerProblem, solver_of: Callable[[Any, int], Any], figures: dic
                 state.then.assign(state.now)
                 state.swap()
 
-        frame()  # compiles
-        graph = None
-        if device.is_cuda:
-            with wp.ScopedCapture() as capture:
-                frame()
-            graph = capture.graph
-        state.restart()
-
-        def advance(frames: int) -> None:
-            for _ in range(frames):
-                frame() if graph is None else wp.capture_launch(graph)
-            wp.synchronize_device(device)
-
-        seconds = timed(problem, advance)
-        found = {
+        seconds = timed_on_device(problem, frame, state.restart)
+        figures = {
+            "iterations": ITERATIONS[problem.engine],
             "version": newton.__version__,
             "collider": "box" if mesh is None else ("distance grids" if device.is_cuda else "triangles"),
             "device": str(device),
@@ -78,7 +59,17 @@ def run(problem: PeerProblem, solver_of: Callable[[Any, int], Any], figures: dic
         }
         poses = state.now.body_q.numpy().reshape(problem.num_envs, problem.num_bodies, 7)
         speeds = state.now.body_qd.numpy().reshape(problem.num_envs, problem.num_bodies, 6)
-        write({**figures, **found}, poses[..., :3], poses[..., 3:], speeds[..., :3])
+        return figures, poses[..., :3], poses[..., 3:], speeds[..., :3]
+
+
+def _solver(problem: PeerProblem, model: newton.Model, capacity: int):
+    """The solver of the engine for the largest number of contacts of a world."""
+    iterations = ITERATIONS[problem.engine]
+    if problem.engine == "newton_steel":
+        rows = max(512, 3 * capacity)
+        return newton.solvers.SolverSteel(model, iterations=iterations, free_body_constraint_max=rows)
+    bounces = problem.restitution > 0.0
+    return newton.solvers.SolverXPBD(model, iterations=iterations, enable_restitution=bounces)
 
 
 class _States:

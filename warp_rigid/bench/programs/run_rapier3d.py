@@ -2,16 +2,14 @@
 
 from importlib.metadata import version
 
-from problem import PeerProblem, main, timed_one_by_one, write
+import rapier3d
+from problem import PeerProblem, timed_one_by_one
 
 
-def run(problem: PeerProblem) -> None:
+def run(problem: PeerProblem) -> tuple:
     """Step one world per environment."""
-    import numpy as np
-    import rapier3d
-
-    shapes = _shapes(rapier3d, problem)
-    worlds = [_world(rapier3d, problem, shapes, env) for env in range(problem.num_envs)]
+    shapes = _shapes(problem)
+    worlds = [_world(problem, shapes, env) for env in range(problem.num_envs)]
 
     def advance(env: int, frames: int) -> None:
         for _ in range(frames * problem.substeps):
@@ -25,30 +23,29 @@ def run(problem: PeerProblem) -> None:
         [[(b.linvel.x, b.linvel.y, b.linvel.z) for b in row] for row in bodies],
     ]
     figures = {
-        "engine": "rapier",
         "version": version("rapier3d"),
         "collider": "box" if problem.vertices is None else f"{len(shapes)} convex parts",
         "device": "cpu",
         **seconds,
         "contacts": sum(_touching(world) for world, _ in worlds),
     }
-    write(figures, *(np.array(values) for values in read))
+    return figures, *read
 
 
-def _shapes(rapier3d, problem: PeerProblem) -> list:
+def _shapes(problem: PeerProblem) -> list:
     if problem.vertices is None:
         return [rapier3d.SharedShape.cuboid(*problem.half_extents.tolist())]
     return [rapier3d.SharedShape.convex_hull(part.astype("float32")) for part, _ in problem.convex_parts()]
 
 
-def _world(rapier3d, problem: PeerProblem, shapes: list, env: int) -> tuple:
+def _world(problem: PeerProblem, shapes: list, env: int) -> tuple:
     """World and the bodies' handles, without sleeping."""
     world = rapier3d.PhysicsWorld(gravity=tuple(problem.gravity))
     world.set_num_threads(1)
     world.integration_parameters.dt = problem.dt
     world.add_collider(rapier3d.Collider.halfspace((0.0, 0.0, 1.0)).friction(problem.friction))
     for part in problem.fixed:
-        world.add_collider(_fixed(rapier3d, part).friction(problem.friction))
+        world.add_collider(_fixed(part).friction(problem.friction))
     mass = rapier3d.MassProperties((0.0, 0.0, 0.0), problem.mass, problem.inertia.tolist())
     handles = []
     for place, orientation in zip(problem.position[env].tolist(), problem.real_first[env].tolist(), strict=True):
@@ -62,7 +59,7 @@ def _world(rapier3d, problem: PeerProblem, shapes: list, env: int) -> tuple:
     return world, handles
 
 
-def _fixed(rapier3d, part: dict):
+def _fixed(part: dict):
     if part["kind"] == "box":
         return rapier3d.Collider.cuboid(*part["half_extents"]).translation(tuple(part["position"]))
     # The axis of Rapier's cylinders is y.
@@ -75,7 +72,3 @@ def _touching(world) -> int:
     """Contact points without a gap."""
     manifolds = [m for pair in world.narrow_phase.contact_pairs() for m in pair.manifolds]
     return sum(point.dist <= 0.0 for manifold in manifolds for point in manifold.points)
-
-
-if __name__ == "__main__":
-    main(run)
