@@ -5,6 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 import warp_rigid as wr
 from warp_rigid.scenes.builders import meshes
@@ -17,23 +18,11 @@ UP = np.array([0.592, 0.797, -0.118])
 def bowl(radius: float = 0.3, thickness: float = 0.03, segments: int = 48) -> wr.Mesh:
     """Bottom of a thick spherical shell centred at the origin, up to 45 degrees below the horizon [m]."""
     arc = np.linspace(-0.5 * np.pi, -0.25 * np.pi, 9)
-    profile = [
+    section = [
         r * np.stack([np.cos(a), np.sin(a)], axis=1) for r, a in ((radius + thickness, arc), (radius, arc[::-1]))
     ]
-    radial, height = np.concatenate(profile)[1:-1].T
-    angle = 2.0 * np.pi * np.arange(segments) / segments
-    rings = np.stack(
-        [np.outer(np.cos(angle), radial), np.outer(np.sin(angle), radial), np.tile(height, (segments, 1))], axis=-1
-    )
-    vertices = np.concatenate([rings.reshape(-1, 3), [[0, 0, -radius - thickness], [0, 0, -radius]]])
-    count = len(radial)
-    faces = []
-    for s in range(segments):
-        here, there = s * count, (s + 1) % segments * count
-        for i in range(count - 1):
-            faces += [(here + i, there + i, there + i + 1), (here + i, there + i + 1, here + i + 1)]
-        faces += [(len(vertices) - 2, there, here), (len(vertices) - 1, here + count - 1, there + count - 1)]
-    return wr.Mesh(vertices, np.array(faces), sdf_resolution=64)
+    shell = trimesh.creation.revolve(np.concatenate(section), sections=segments)
+    return wr.Mesh.from_trimesh(shell, sdf_resolution=64)
 
 
 def drop(seed: int = 0) -> wr.Scene:
