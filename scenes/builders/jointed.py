@@ -19,13 +19,17 @@ ROLLING = 0.01
 
 def anchor_errors(sim: Any) -> np.ndarray:
     """Distances between the two anchors of each joint that holds them together, (envs, joints) [m]; else 0."""
-    poses = [sim.get(name).astype(np.float64) for name in ("position", "orientation")]
+    return gaps(sim.scene, *(sim.get(name).astype(np.float64) for name in ("position", "orientation")))
+
+
+def gaps(scene: Scene, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """The same of poses (..., bodies, 3) and (..., bodies, 4) of a scene's bodies, (..., joints) [m]."""
     apart = [
-        np.linalg.norm(np.subtract(*entry.anchors(*poses)), axis=-1)
+        np.linalg.norm(np.subtract(*entry.anchors(position, orientation)), axis=-1)
         * (entry.joint.coordinate not in (Coordinate.LENGTH, Coordinate.SLIDE))
-        for entry in sim.scene.joints
+        for entry in scene.joints
     ]
-    return np.stack(apart, axis=1)
+    return np.stack(apart, axis=-1)
 
 
 class ClosedJointsOutcome(SceneOutcome):

@@ -7,11 +7,8 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.builders.assortment import MOST_SEEDS
-from warp_rigid.scenes.builders.bodies import add_bodies
 
 PITCH = 0.38
 JITTER = 0.02
@@ -62,7 +59,7 @@ def inner_half(bodies: int) -> float:
     return 0.5 * _layout(bodies)[0] * PITCH + 0.02
 
 
-def add_pile_bin(scene: Scene, bodies: int, *, names: str | None = None, **surface: Any) -> list[int]:
+def add_pile_bin(scene: Scene, bodies: int, *, names: str | None = None, **surface: Any) -> None:
     """Add four walls around the starts of a pile of bodies of about 0.2 m.
 
     Args:
@@ -70,37 +67,12 @@ def add_pile_bin(scene: Scene, bodies: int, *, names: str | None = None, **surfa
         bodies: number of bodies in the pile, 1 to 1e6.
         names: prefix of the walls' names, followed by their numbers.
         **surface: coefficients, as in `Scene.add_static`.
-
-    Returns:
-        Indices of the walls.
     """
     height = max(0.8, 0.6 * _layout(bodies)[1] * PITCH + 0.5)
-    return grounds.add_bin(scene, inner_half(bodies), height, WALL_THICKNESS, names=names, **surface)
+    grounds.add_bin(scene, inner_half(bodies), height, WALL_THICKNESS, names=names, **surface)
 
 
 def _layout(bodies):
     """Lattice points along each side of the floor, and layers: about twice as high as wide."""
     side = max(2, math.ceil((bodies / 2.0) ** (1.0 / 3.0)))
     return side, math.ceil(bodies / side**2)
-
-
-def add_mixed_layers(scene: Scene, generator: np.random.Generator, count: int, **coefficients: Any) -> list[int]:
-    """Add boxes and, as every fourth body, spheres of up to 0.1 m in layers of four, clear of one another.
-
-    Args:
-        scene: the scene.
-        generator: of sizes and positions.
-        count: number of bodies.
-        **coefficients: as in `add_bodies`.
-
-    Returns:
-        Indices of the bodies.
-    """
-    shapes: list[Shape] = []
-    positions = []
-    for k in range(count):
-        size = generator.uniform(0.05, 0.09)
-        shapes.append(Sphere(size) if k % 4 == 0 else Box(size * generator.uniform(0.6, 1.1, 3)))
-        corner = 0.17 * np.array([2 * (k % 2) - 1, 2 * (k // 2 % 2) - 1])
-        positions.append((*(corner + generator.uniform(-0.01, 0.01, 2)), 0.2 + 0.36 * (k // 4)))
-    return add_bodies(scene, shapes, positions, **coefficients)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
+import trimesh
 
 from warp_rigid import rotations
 from warp_rigid.engine.settings import Settings
@@ -33,17 +34,10 @@ def cases(quick: bool) -> Cases:
 @cache
 def features(kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices (n, 3) [m], distinct face normals and distinct edge directions of a polyhedron, up to their sign."""
-    vertices, faces = convex_solid(kind, RADIUS).surface()
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    folded: dict[tuple[int, int], list[np.ndarray]] = {}
-    for face, normal in zip(faces, normals, strict=True):
-        for a, b in zip(face, np.roll(face, -1), strict=True):
-            folded.setdefault((min(a, b), max(a, b)), []).append(normal)
+    solid = trimesh.Trimesh(*convex_solid(kind, RADIUS).surface())
     # A diagonal of a face is no edge.
-    edges = [vertices[b] - vertices[a] for (a, b), sides in folded.items() if sides[0] @ sides[1] < 1.0 - 1e-6]
-    return np.unique(vertices, axis=0), _distinct(normals), _distinct(np.array(edges))
+    ends = solid.vertices[solid.face_adjacency_edges[solid.face_adjacency_angles > 1e-3]]
+    return np.array(solid.vertices), _distinct(solid.face_normals), _distinct(ends[:, 1] - ends[:, 0])
 
 
 def _distinct(directions: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Section D, first part: blocks that slide and stick."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
@@ -108,27 +110,19 @@ def pull(degrees, friction, gravity=G):
     return gravity * (np.sin(slope) - friction * np.cos(slope))
 
 
-def inclines(make):
-    """The same experiment with a cube and a slab, over tilted gravity and on a tilted mesh."""
-    return tuple(make(block, mesh) for block in (CUBE, SLAB) for mesh in (False, True))
+def inclines(degrees, friction, **options):
+    """The same experiment with a cube and a slab, under tilted gravity and on a tilted mesh."""
+    kinds = [(block, mesh) for block in (CUBE, SLAB) for mesh in (False, True)]
+    return tuple(block_on_incline(block, degrees, friction, mesh=mesh, **options) for block, mesh in kinds)
 
 
 def sticks(duration):
     """A block at rest with e = 0 and e = 1; the order of the stages must not cause bounces by gravity."""
-
-    def make(block, mesh, restitution):
-        return block_on_incline(
-            block,
-            20.0,
-            0.5,
-            restitution=restitution,
-            mesh=mesh,
-            duration=duration,
-            every=24,
-            label=f"{'cube' if block is CUBE else 'slab'}{' on a mesh' if mesh else ''}, e {restitution:g}",
-        )
-
-    experiments = tuple(one for e in (0.0, 1.0) for one in inclines(lambda block, mesh, e=e: make(block, mesh, e)))
+    experiments = tuple(
+        replace(one, label=f"{one.label}, e {e:g}")
+        for e in (0.0, 1.0)
+        for one in inclines(20.0, 0.5, restitution=e, duration=duration, every=24)
+    )
     return case(
         "V22",
         "block that sticks on an incline, 20 degrees, mu 0.5",
@@ -148,7 +142,7 @@ def creeps_not(duration):
         f"creep on an incline, 25 degrees, mu 0.6, {duration:g} s",
         COULOMB,
         measured("creep", "m", lambda t: np.abs(along(t)).max(axis=0), at_most(1e-4)),
-        of=inclines(lambda block, mesh: block_on_incline(block, 25.0, 0.6, mesh=mesh, duration=duration, every=24)),
+        of=inclines(25.0, 0.6, duration=duration, every=24),
         curve=Curve("slip", "m", along),
     )
 
@@ -161,7 +155,7 @@ def slides():
         "block that slides down an incline from rest, 30 degrees, mu 0.3",
         COULOMB,
         measured("distance after 1 s", "m", lambda t: along(t)[-1], relative(5e-3), distance),
-        of=inclines(lambda block, mesh: block_on_incline(block, 30.0, 0.3, mesh=mesh, duration=1.0, every=4)),
+        of=inclines(30.0, 0.3, duration=1.0, every=4),
         curve=Curve("way", "m", along, lambda t: distance * t.time[:, None] ** 2),
     )
 
