@@ -40,8 +40,7 @@ def build(bones: int = 20, seed: int = 0) -> Scene:
     """
     bones = whole_in("bones", bones, 1, 2000)
     position, orientation = starts(bones, seed)
-    scene = grounds.level_scene(name="floor", **SURFACE)
-    scene.camera = Camera.orbit(-70.0, 26.0)
+    scene = grounds.level_scene(name="floor", **SURFACE, camera=Camera.orbit(-70.0, 26.0))
     grounds.add_bin(scene, _plot_half(bones), _wall_height(bones), WALL_THICKNESS, names="wall", **SURFACE)
     scene.add_static(_funnel(bones), position=(0, 0, _opening_height(bones)), name="funnel", **SURFACE)
     shapes = {"cranium": meshes.cranium(), "pelvis": meshes.pelvis(), "femur": meshes.femur()}

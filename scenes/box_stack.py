@@ -27,8 +27,7 @@ def build(height: int = 10) -> Scene:
         height: number of boxes in the stack, 1 to 50.
     """
     height = whole_in("height", height, 1, 50)
-    scene = grounds.level_scene(friction=0.5, name="ground")
-    scene.camera = Camera.orbit(-75.0, 16.0)
+    scene = grounds.level_scene(friction=0.5, name="ground", camera=Camera.orbit(-75.0, 16.0))
     grounds.add_platform(scene, 0.5, 0.5, PLATFORM_TOP, friction=0.5, name="platform")
     # Each gap is larger than the one below it, so that the boxes land one after another.
     rises = [2.0 * HALF + GAP_GROWTH * (i + 1) for i in range(height)]

@@ -19,8 +19,7 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
         seed: of jitter and orientations.
     """
     position, orientation = piles.starts(whole_in("bodies", bodies, 1, 4096), seed)
-    scene = grounds.level_scene(friction=0.5, name="floor")
-    scene.camera = Camera.orbit(-62.0, 26.0)
+    scene = grounds.level_scene(friction=0.5, name="floor", camera=Camera.orbit(-62.0, 26.0))
     piles.add_pile_bin(scene, bodies, names="wall", friction=0.5)
     bunny = meshes.bunny()
     place = position - rotate(orientation, np.tile(bunny.center_of_mass, (bodies, 1)))

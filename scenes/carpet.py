@@ -37,8 +37,7 @@ def build(bodies: int = 16, amplitude: float = 0.5, seed: int = 0) -> Scene:
     x, y = np.meshgrid(*2 * [np.linspace(-0.5, 0.5, VERTICES) * EXTENT], indexing="ij")
     phase = -2.0 * np.pi / WAVE_LENGTH * (x + y) / 2.0**0.5
     wave = Heightfield(np.zeros_like(x), (EXTENT, EXTENT), HarmonicMotion(amplitude, FREQUENCY, phase))
-    scene = Scene()
-    scene.camera = Camera.orbit(-67.0, 30.0)
+    scene = Scene(camera=Camera.orbit(-67.0, 30.0))
     scene.add_kinematic(wave, name="carpet", **SURFACE)
     shapes = assortment.convex_solids(bodies, seed, RADIUS)
     add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)

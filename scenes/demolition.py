@@ -29,8 +29,7 @@ def build(rows: int = 25, columns: int = 20, angle: float = 60.0) -> Scene:
     """
     rows, columns = whole_in("rows", rows, 1, 25), whole_in("columns", columns, 1, 20)
     lean = np.radians(number_in("angle", angle, 10.0, 80.0))
-    scene = Scene()
-    scene.camera = Camera.orbit(-35.0, 18.0)
+    scene = Scene(camera=Camera.orbit(-35.0, 18.0))
     scene.add_static(Plane(), friction=0.6, name="ground")
     for row in range(rows):
         for column in range(columns):

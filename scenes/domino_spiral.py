@@ -50,8 +50,7 @@ def build(dominoes: int = 60, spacing: float = 0.12, lean: float = 8.0) -> Scene
     position[0] += rotate(upright[0], rotate(tilt, np.array([-HALF[0], 0.0, HALF[2]])) + [HALF[0], 0.0, -HALF[2]])
     c, s = upright[0, 3], upright[0, 2]
     upright[0] = (-s * tilt[1], c * tilt[1], s * tilt[3], c * tilt[3])
-    scene = grounds.level_scene(friction=0.6, name="ground")
-    scene.camera = Camera.orbit(-60.0, 38.0)
+    scene = grounds.level_scene(friction=0.6, name="ground", camera=Camera.orbit(-60.0, 38.0))
     add_bodies(scene, Box(HALF), position, upright, names="domino", mass=MASS, friction=0.6, restitution=0.1)
     return scene
 

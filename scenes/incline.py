@@ -7,8 +7,7 @@ import numpy as np
 from warp_rigid.checks import number_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box
-from warp_rigid.scenes.builders import grounds
+from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.demo import ONE_PASS_2003, SceneOutcome, below, clearance
 
 HALF = 0.05
@@ -34,16 +33,10 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     }
     tilt = (0.0, math.sin(0.5 * slope), 0.0, math.cos(0.5 * slope))
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
-    scene = Scene()
-    scene.camera = Camera.orbit(-110.0, 24.0)
-    grounds.add_ground(scene, GROUND, name="ground")
-    scene.add_static(
-        Box(PLATFORM_HALF),
-        position=-PLATFORM_HALF[2] * normal,
-        orientation=tilt,
-        name="platform",
-        **surface,
-    )
+    scene = Scene(camera=Camera.orbit(-110.0, 24.0))
+    scene.add_static(Plane(offset=GROUND), name="ground")
+    below = -PLATFORM_HALF[2] * normal
+    scene.add_static(Box(PLATFORM_HALF), position=below, orientation=tilt, name="platform", **surface)
     scene.add_body(Box((HALF,) * 3), position=HALF * normal, orientation=tilt, name="block", **surface)
     return scene
 

@@ -25,8 +25,7 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     """
     height = whole_in("height", height, 2, 50)
     offset = number_in("offset", offset, 0.0, 0.45)
-    scene = grounds.level_scene(friction=0.5, name="ground")
-    scene.camera = Camera.orbit(-80.0, 14.0)
+    scene = grounds.level_scene(friction=0.5, name="ground", camera=Camera.orbit(-80.0, 14.0))
     grounds.add_platform(scene, 0.5, 0.5, PLATFORM_TOP, friction=0.5, name="platform")
     stacks.add_stack(scene, height, bottom=PLATFORM_TOP, lean=2.0 * HALF * offset, names="box", friction=0.5)
     return scene

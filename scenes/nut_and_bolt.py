@@ -29,8 +29,7 @@ def build(friction: float = 0.03) -> Scene:
         friction: of nut and bolt, 0 to 1. From 0.15 on, the thread locks itself.
     """
     friction = number_in("friction", friction, 0.0, 1.0)
-    scene = grounds.level_scene(name="ground")
-    scene.camera = Camera.orbit(-60.0, 18.0)
+    scene = grounds.level_scene(name="ground", camera=Camera.orbit(-60.0, 18.0))
     bolt = screw_threads.bolt(THREAD, LENGTH, HEAD_HEIGHT, ACROSS_FLATS)
     scene.add_static(bolt, position=(0, 0, HEAD_HEIGHT), friction=friction, name="bolt")
     nut = screw_threads.nut(THREAD, NUT_HEIGHT, ACROSS_FLATS)

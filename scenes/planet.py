@@ -39,8 +39,7 @@ def build(bodies: int = 40, seed: int = 0) -> Scene:
     """
     bodies = whole_in("bodies", bodies, 1, 5000)
     position, orientation, velocity = starts(bodies, seed)
-    scene = Scene(gravity=(0, 0, 0))
-    scene.camera = Camera.orbit(-67.0, 20.0)
+    scene = Scene(gravity=(0, 0, 0), camera=Camera.orbit(-67.0, 20.0))
     scene.add_force_field(PointField(center=(0, 0, 0), strength=STRENGTH))
     corners, faces = tessellation.geodesic(FACETS)
     scene.add_static(Mesh(PLANET_RADIUS * corners, faces, RESOLUTION), name="planet", **SURFACE)

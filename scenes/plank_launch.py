@@ -26,8 +26,7 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
     """
     blocks = whole_in("blocks", blocks, 1, 20)
     drop = number_in("drop", drop, 0.1, 5.0)
-    scene = grounds.level_scene(friction=0.5, name="ground")
-    scene.camera = Camera.orbit(-84.0, 14.0)
+    scene = grounds.level_scene(friction=0.5, name="ground", camera=Camera.orbit(-84.0, 14.0))
     grounds.add_platform(scene, BASE_HALF[0], BASE_HALF[1], 2.0 * BASE_HALF[2], friction=0.5, name="base")
     z = 2.0 * BASE_HALF[2]
     scene.add_body(Box(PLANK_HALF), position=(PLANK_X, 0, z + PLANK_HALF[2]), mass=10.0, name="plank")

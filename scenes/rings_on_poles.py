@@ -48,8 +48,7 @@ def build(rings: int = 12, poles: int = 4, seed: int = 0) -> Scene:
     rings = whole_in("rings", rings, 1, 2000)
     side = _side(poles)
     position, orientation = starts(rings, poles, seed)
-    scene = grounds.level_scene(name="ground", **SURFACE)
-    scene.camera = Camera.orbit(-67.0, 20.0)
+    scene = grounds.level_scene(name="ground", **SURFACE, camera=Camera.orbit(-67.0, 20.0))
     pole = Cylinder(POLE_RADIUS, POLE_HALF_HEIGHT)
     for i, place in enumerate(_pole_places(side)):
         scene.add_static(pole, position=(*place, POLE_HALF_HEIGHT), name=f"pole_{i}", **SURFACE)

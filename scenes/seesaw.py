@@ -34,8 +34,7 @@ def build(large_mass: float = 10.0, small_mass: float = 5.0) -> Scene:
     """
     large_mass = number_in("large_mass", large_mass, above=0.0)
     small_mass = number_in("small_mass", small_mass, above=0.0)
-    scene = grounds.level_scene(friction=0.5, name="ground")
-    scene.camera = Camera.orbit(-84.0, 14.0)
+    scene = grounds.level_scene(friction=0.5, name="ground", camera=Camera.orbit(-84.0, 14.0))
     # A cube on its edge: on a cylinder the plank would have a stable equilibrium to return to.
     side = math.sqrt(0.5) * PIVOT_HEIGHT
     scene.add_static(

@@ -36,8 +36,7 @@ def build(bodies: int = 100, seed: int = 0) -> Scene:
     """
     bodies = whole_in("bodies", bodies, 1, 20_000)
     position, orientation = starts(bodies, seed)
-    scene = Scene()
-    scene.camera = Camera.orbit(-60.0, 28.0)
+    scene = Scene(camera=Camera.orbit(-60.0, 28.0))
     half = slab_half(bodies)
     scene.add_static(Box((half, half, SLAB_HALF_HEIGHT)), position=(0, 0, -SLAB_HALF_HEIGHT), name="slab", **SURFACE)
     shapes = assortment.convex_solids(bodies, seed, RADIUS)

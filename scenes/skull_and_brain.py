@@ -38,8 +38,7 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
     upper = meshes.brain_like(BRAIN_SIZE) if brain is None else _own("brain", brain, BRAIN_SIZE)
     names = ("skull" if skull is None else "skull_own", "brain" if brain is None else "brain_own")
     surface: dict[str, Any] = {"friction": 0.5, "restitution": 0.3}
-    scene = grounds.level_scene(name="ground", **surface)
-    scene.camera = Camera.orbit(-75.0, 30.0)
+    scene = grounds.level_scene(name="ground", **surface, camera=Camera.orbit(-75.0, 30.0))
     _add_dish(scene, surface)
     z = PLATFORM_TOP + SKULL_DROP
     for name, mesh, x in zip(names, (lower, upper), (0.0, 0.02), strict=True):

@@ -45,9 +45,7 @@ def build(parcels: int = 6, speed: float = 1.5, friction: float = 0.5) -> Scene:
     parcels = whole_in("parcels", parcels, 1, 30)
     speed = number_in("speed", speed, 0.3, 1.5)
     friction = number_in("friction", friction, 0.3, 0.9)
-    scene = Scene(gravity=(0, 0, -GRAVITY))
-    scene.camera = Camera.orbit(50.0, 30.0)
-    grounds.add_ground(scene, name="ground")
+    scene = grounds.level_scene((0, 0, -GRAVITY), name="ground", camera=Camera.orbit(50.0, 30.0))
     begin = FIRST - PITCH * (parcels - 1) - 0.3
     belt = scene.add_static(
         Box((0.5 * (END - begin), HALF_WIDTH, 0.5 * TOP)),

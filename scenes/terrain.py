@@ -31,8 +31,7 @@ def build(bodies: int = 16, seed: int = 0) -> Scene:
     """
     bodies = whole_in("bodies", bodies, 1, 1000)
     position, orientation = starts(bodies, seed)
-    scene = Scene()
-    scene.camera = Camera.orbit(-67.0, 34.0)
+    scene = Scene(camera=Camera.orbit(-67.0, 34.0))
     scene.add_static(Heightfield(_heights(seed), (EXTENT, EXTENT)), name="terrain", **SURFACE)
     shapes = assortment.convex_solids(bodies, seed, RADIUS)
     add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)

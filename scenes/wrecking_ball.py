@@ -36,8 +36,7 @@ def build(rows: int = 8, pyramids: int = 3) -> Scene:
         pyramids: number of pyramids, 1 to 20.
     """
     rows, pyramids = whole_in("rows", rows, 2, 20), whole_in("pyramids", pyramids, 1, 20)
-    scene = grounds.level_scene(name="ground", **SURFACE)
-    scene.camera = Camera.orbit(-165.0, 24.0)
+    scene = grounds.level_scene(name="ground", **SURFACE, camera=Camera.orbit(-165.0, 24.0))
     along, normal = _directions()
     foot = np.array([0.0, -RAMP_FOOT, 0.0])
     scene.add_static(_ramp(), position=foot, name="ramp", **SURFACE)

@@ -38,6 +38,7 @@ CONVEX_KINDS = tuple(_MAKERS)
 """Kinds that `convex_solid` accepts."""
 
 
+@cache
 def convex_solid(kind: str, radius: float) -> Shape:
     """A simple convex solid.
 
@@ -48,12 +49,7 @@ def convex_solid(kind: str, radius: float) -> Shape:
     Raises:
         ValueError: There is no such kind, or the radius is not greater than 0.
     """
-    return _convex_solid(one_of("kind", kind, CONVEX_KINDS), number_in("radius", radius, above=0.0))
-
-
-@cache
-def _convex_solid(kind, radius):
-    return _MAKERS[kind](radius)
+    return _MAKERS[one_of("kind", kind, CONVEX_KINDS)](number_in("radius", radius, above=0.0))
 
 
 def convex_solids(count: int, seed: int, radius: float) -> list[Shape]:

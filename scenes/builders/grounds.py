@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene, Vector
 from warp_rigid.scene.shapes import Box, Plane
 
@@ -10,33 +11,22 @@ SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 """Outward directions of the four walls of a bin, in the order in which they are added."""
 
 
-def level_scene(gravity: Vector = EARTH, **surface: Any) -> Scene:
+def level_scene(gravity: Vector = EARTH, camera: Camera | None = None, **surface: Any) -> Scene:
     """A scene that contains level ground at z = 0, which is body 0.
 
     Args:
         gravity: [m/s^2].
+        camera: of the scene.
         **surface: coefficients and name of the ground, as in `Scene.add_static`.
     """
-    scene = Scene(gravity=gravity)
-    add_ground(scene, **surface)
+    scene = Scene(gravity=gravity, camera=camera)
+    scene.add_static(Plane(), **surface)
     return scene
 
 
-def add_ground(scene: Scene, height: float = 0.0, **surface: Any) -> int:
-    """Add level ground, an unbounded plane z = `height` [m].
-
-    Args:
-        scene: the scene.
-        height: of the plane [m].
-        **surface: coefficients and name, as in `Scene.add_static`.
-
-    Returns:
-        The body's index.
-    """
-    return scene.add_static(Plane(normal=(0, 0, 1), offset=height), **surface)
-
-
-def add_platform(scene: Scene, half_width: float, half_depth: float, top: float, x: float = 0.0, **surface: Any) -> int:
+def add_platform(
+    scene: Scene, half_width: float, half_depth: float, top: float, x: float = 0.0, **surface: Any
+) -> None:
     """Add a static box that reaches from z = 0 to z = `top`.
 
     Args:
@@ -46,11 +36,8 @@ def add_platform(scene: Scene, half_width: float, half_depth: float, top: float,
         top: height of its upper face [m].
         x: of its centre [m].
         **surface: coefficients and name, as in `Scene.add_static`.
-
-    Returns:
-        The body's index.
     """
-    return scene.add_static(Box((half_width, half_depth, 0.5 * top)), position=(x, 0, 0.5 * top), **surface)
+    scene.add_static(Box((half_width, half_depth, 0.5 * top)), position=(x, 0, 0.5 * top), **surface)
 
 
 def add_bin(
@@ -63,7 +50,7 @@ def add_bin(
     names: str | None = None,
     sides: tuple[tuple[int, int], ...] = SIDES,
     **surface: Any,
-) -> list[int]:
+) -> None:
     """Add upright walls around a square; the bin has no floor.
 
     Args:
@@ -75,30 +62,23 @@ def add_bin(
         names: prefix of the walls' names, followed by their numbers; the scene's default names if None.
         sides: outward directions (x, y) of the walls, in the order in which they are added.
         **surface: coefficients, as in `Scene.add_static`.
-
-    Returns:
-        Indices of the walls.
     """
     half_height, half_thickness = 0.5 * height, 0.5 * thickness
     away, length = inner_half + half_thickness, inner_half + thickness
-    walls = []
     for i, (x, y) in enumerate(sides):
         half = (half_thickness, length, half_height) if x else (length, half_thickness, half_height)
         name = None if names is None else f"{names}_{i}"
         place = (center[0] + x * away, center[1] + y * away, half_height)
-        walls.append(scene.add_static(Box(half), position=place, name=name, **surface))
-    return walls
+        scene.add_static(Box(half), position=place, name=name, **surface)
 
 
-def add_plane_bin(scene: Scene, inner_half: float, **surface: Any) -> list[int]:
+def add_plane_bin(scene: Scene, inner_half: float, **surface: Any) -> None:
     """Add four unbounded vertical planes around a square, which no body can leave.
 
     Args:
         scene: the scene.
         inner_half: half of the distance between opposite planes [m].
         **surface: coefficients, as in `Scene.add_static`.
-
-    Returns:
-        Indices of the planes, in the order of SIDES.
     """
-    return [scene.add_static(Plane(normal=(-x, -y, 0), offset=-inner_half), **surface) for x, y in SIDES]
+    for x, y in SIDES:
+        scene.add_static(Plane(normal=(-x, -y, 0), offset=-inner_half), **surface)
