@@ -83,13 +83,12 @@ def pendulums(duration: float) -> ValidationCase:
         total = 0.5 * (v * v).sum(axis=-1) + GRAVITY * (height + 1.0)
         return np.abs(total / total[0] - 1.0).max(axis=0)
 
-    labels = tuple(f"{a:g} degrees" for a in AMPLITUDES)
     return case(
         "V90",
         "Simple pendulum",
         "arithmetic-geometric mean; conservation of energy",
-        measured("period", "s", period_of, relative(1e-3), [exact_period(a) for a in AMPLITUDES], labels=labels),
-        measured("change of energy", "", energy, at_most(1e-3), labels=labels),
+        measured("period", "s", period_of, relative(1e-3), [exact_period(a) for a in AMPLITUDES]),
+        measured("change of energy", "", energy, at_most(1e-3)),
         of=experiments,
     )
 
@@ -163,5 +162,5 @@ def welds() -> ValidationCase:
     def broken(trace):
         return displaced(trace, slice(0, 1)) > 1e-3
 
-    check = measured("weld breaks", "", broken, OUTCOME, [float(share > 1.0) for share in LOADS], labels=labels)
+    check = measured("weld breaks", "", broken, OUTCOME, [float(share > 1.0) for share in LOADS])
     return case("V96", "Weld under a load", "its limit", check, of=experiment)

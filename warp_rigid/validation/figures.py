@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,10 +40,7 @@ def save_case(case: ValidationCase, device: str, traces: tuple[Trace, ...], fold
     axes.legend(fontsize=7)
     axes.grid(alpha=0.3)
     slug = re.sub(r"[^a-z0-9]+", "_", case.title.lower()).strip("_")
-    path = folder / f"{case.id}_{slug}_{device.replace(':', '')}.png"
-    with atomic_file(path) as temporary:
-        chart.savefig(temporary, dpi=120)
-    return path
+    return _save(chart, folder / f"{case.id}_{slug}_{device.replace(':', '')}.png")
 
 
 def save_overview(findings: Sequence[CheckResult], folder: Path) -> Path:
@@ -59,7 +57,10 @@ def save_overview(findings: Sequence[CheckResult], folder: Path) -> Path:
     axes.set(xscale="log", xlim=(SMALLEST, 100.0), xlabel="worst error over tolerance")
     axes.axvline(1.0, color="black", lw=1)
     axes.set_ylim(len(shown) - 0.5, -0.5)
-    path = folder / "overview.png"
+    return _save(chart, folder / "overview.png")
+
+
+def _save(chart: Any, path: Path) -> Path:
     with atomic_file(path) as temporary:
         chart.savefig(temporary, dpi=120)
     return path

@@ -240,29 +240,28 @@ def bypass(dt):
         "two phases begin a step less than 25 mm above the bar: a speculative contact leaves up to a fourteenth of the "
         "approach to the next step, at whose start the square has turned by 15 deg"
     )
-    experiment = Experiment(
-        in_space(static(Box((10.0, 1.0, 0.05)), friction=0.0), square),
-        0.3,
-        tuple(f"{name}, phase {phase}/{phases}" for name, phase in cells),
-        (Start("position", place[:, None], bodies=[1]),),
-        dt=dt,
-    )
     above, struck, beside = slice(2 * phases), slice(2 * phases, 3 * phases), slice(3 * phases, None)
     return case(
         "V56",
         f"square 0.2 m deep at 75 m/s against a bar 0.1 m thick, dt 1/{1 / dt:.3g}",
         "rigid-ipc bypass, extruded; eccentric impact of a plate",
         measured("goes through the bar", "", passed, OUTCOME, rows=above),
-        Check(
+        measured(
             "speed past the end after it was struck 0.8 m off its centre",
             "m/s",
-            lambda s: -s[0].linear_velocity[-1, struck, 1, 2],
+            lambda t: -t.linear_velocity[-1, :, 1, 2],
             relative(0.01),
             kept * speed,
-            labels=experiment.variants[struck],
+            struck,
             miss=Miss(speculative, 0.013) if dt < 0.01 else None,
         ),
         measured("goes past the bar's end", "", passed, OUTCOME, 1, rows=beside),
-        of=experiment,
+        of=Experiment(
+            in_space(static(Box((10.0, 1.0, 0.05)), friction=0.0), square),
+            0.3,
+            tuple(f"{name}, phase {phase}/{phases}" for name, phase in cells),
+            (Start("position", place[:, None], bodies=[1]),),
+            dt=dt,
+        ),
         curve=Curve("height", "m", lambda t: t.position[:, :, 1, 2]),
     )

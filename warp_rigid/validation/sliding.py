@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.scene.shapes import Box, Compound, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, on_ground
-from warp_rigid.validation.case import Cases, Check, Curve, case, each, relative
+from warp_rigid.validation.case import Cases, Curve, case, measured, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
@@ -95,12 +95,11 @@ def slide(shape, height, label) -> Experiment:
     )
 
 
-def stop_checks(bodies, experiments):
+def stop_checks(*bodies):
     """Checks of time, way and angle of all experiments of a case against the equations of motion.
 
     Args:
-        bodies: feet, height and gyration of each experiment, as in `stop`.
-        experiments: the experiments.
+        *bodies: feet, height and gyration of each experiment, as in `stop`.
     """
     kinds = (("time to stop", "s"), ("way to stop", "m"), ("angle to stop", "rad"))
 
@@ -110,10 +109,8 @@ def stop_checks(bodies, experiments):
         found = [stop(feet, height, k, *motion) for feet, height, k in bodies for motion in MOTIONS]
         return np.array(found).T
 
-    labels = [f"{one.label}, {variant}" if one.label else variant for one in experiments for variant in one.variants]
-
     def check(name, unit, k):
-        return Check(name, unit, each(lambda t: stops(t)[k]), relative(0.02), lambda _: exact()[k], labels=labels)
+        return measured(name, unit, lambda t: stops(t)[k], relative(0.02), lambda _: exact()[k])
 
     return tuple(check(*kind, k) for k, kind in enumerate(kinds))
 
@@ -124,14 +121,12 @@ def rings(counts):
     def ring(count):
         return Compound([(Sphere(FOOT_RADIUS), place, (0, 0, 0, 1)) for place in ring_feet(count)])
 
-    experiments = tuple(slide(ring(n), FOOT_RADIUS, f"{n} feet") for n in counts)
-
     return case(
         "V75",
         "ring of feet that slides and spins, mu 0.3",
         "equations of motion with the loads of statics; Farkas 2003",
-        *stop_checks([(ring_feet(n), FOOT_RADIUS, RING_RADIUS) for n in counts], experiments),
-        of=experiments,
+        *stop_checks(*((ring_feet(n), FOOT_RADIUS, RING_RADIUS) for n in counts)),
+        of=tuple(slide(ring(n), FOOT_RADIUS, f"{n} feet") for n in counts),
         curve=Curve("speed", "m/s", lambda t: np.linalg.norm(t.linear_velocity[:, :, 1], axis=-1)),
     )
 
@@ -140,12 +135,11 @@ def box_on_four_corners():
     """A box on its four lower corners, whose loads follow from statics."""
     corners = np.array([(x, y, 0.0) for x in (-BOX_HALF[0], BOX_HALF[0]) for y in (-BOX_HALF[1], BOX_HALF[1])])
     gyration = np.sqrt((BOX_HALF[0] ** 2 + BOX_HALF[1] ** 2) / 3.0)
-    experiment = slide(Box(BOX_HALF), BOX_HALF[2], "")
     return case(
         "V75",
         "box on its four corners that slides and spins, mu 0.3",
         "equations of motion with the loads of statics",
-        *stop_checks([(corners, BOX_HALF[2], gyration)], [experiment]),
-        of=experiment,
+        *stop_checks((corners, BOX_HALF[2], gyration)),
+        of=slide(Box(BOX_HALF), BOX_HALF[2], ""),
         curve=Curve("speed", "m/s", lambda t: np.linalg.norm(t.linear_velocity[:, :, 1], axis=-1)),
     )
