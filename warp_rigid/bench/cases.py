@@ -95,27 +95,18 @@ class BenchmarkCase:
         Args:
             position: (envs, bodies, 3) of the dynamic bodies [m].
         """
-        scene = self.scene
-        inside = np.isfinite(position).all(axis=-1)
-        if scene.rest is not None and scene.half_width is not None:
-            inside &= self.drift(position) < scene.half_width(self.bodies)
-        elif scene.half_width is not None:
-            inside &= np.abs(position[..., :2]).max(axis=-1) < scene.half_width(self.bodies)
-            inside &= position[..., 2] > -MARGIN
+        inside, moved = np.isfinite(position).all(axis=-1), self.displacement(position)
+        if self.scene.half_width is not None:
+            half_width = self.scene.half_width(self.bodies)
+            if moved is not None:
+                inside &= np.linalg.norm(moved[..., :2], axis=-1) < half_width
+            else:
+                inside &= (np.abs(position[..., :2]).max(axis=-1) < half_width) & (position[..., 2] > -MARGIN)
         return int((~inside).sum())
 
-    def drift(self, position: np.ndarray) -> np.ndarray:
-        """Horizontal distance of the bodies from the places at rest, which must be known, (envs, bodies) [m]."""
-        return np.linalg.norm(self._displacement(position)[..., :2], axis=-1)
-
-    def height_error(self, position: np.ndarray) -> np.ndarray | None:
-        """Height of the bodies above their height at rest, (envs, bodies) [m]; None where that is not known."""
-        return None if self.scene.rest is None else self._displacement(position)[..., 2]
-
-    def _displacement(self, position: np.ndarray) -> np.ndarray:
-        rest = self.scene.rest
-        assert rest is not None
-        return position - rest(self.bodies)
+    def displacement(self, position: np.ndarray) -> np.ndarray | None:
+        """Positions of the bodies relative to those at rest, (envs, bodies, 3) [m]; None where these are not known."""
+        return None if self.scene.rest is None else position - self.scene.rest(self.bodies)
 
 
 def find_case(text: str) -> BenchmarkCase:

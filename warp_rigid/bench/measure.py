@@ -146,11 +146,11 @@ def quality(case: BenchmarkCase, sim: Simulator, position: np.ndarray, velocity:
         "max_speed": float(np.linalg.norm(velocity, axis=-1).max()) if whole else None,
         "escaped": case.escaped(position),
     }
-    error = case.height_error(position.astype(np.float64))
-    if error is not None and whole:
-        figures["height_error"] = float(np.abs(error).max())
-        figures["top_height_error"] = float(error[:, -1].mean())
-        figures["drift"] = float(case.drift(position).max())
+    moved = case.displacement(position.astype(np.float64))
+    if moved is not None and whole:
+        figures["height_error"] = float(np.abs(moved[..., 2]).max())
+        figures["top_height_error"] = float(moved[:, -1, 2].mean())
+        figures["drift"] = float(np.linalg.norm(moved[..., :2], axis=-1).max())
     if sim.scene.joints and whole:
         figures["joint_error"] = float(anchor_errors(sim).max())
     return figures

@@ -174,10 +174,6 @@ def _frame(values) -> wp.transform:
 
 def _configure(builder: newton.ModelBuilder, problem: PeerProblem) -> None:
     config = builder.default_shape_cfg
-    config.density, config.mu, config.restitution, config.gap = (
-        problem.density,
-        problem.friction,
-        problem.restitution,
-        GAP,
-    )
+    config.density, config.mu = problem.density, problem.friction
+    config.restitution, config.gap = problem.restitution, GAP
     config.mu_torsional = config.mu_rolling = 0.0
