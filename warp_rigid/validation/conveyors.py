@@ -12,7 +12,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, in_space, static
 from warp_rigid.validation.case import Cases, Check, Curve, absolute, case, measured, relative
-from warp_rigid.validation.common import G, first_time
+from warp_rigid.validation.common import G, first_time, per_env
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 from warp_rigid.validation.sliding import ring_feet
 
@@ -47,17 +47,9 @@ def parcels(steps):
     speed, friction = np.array(BELTS).T
     velocity = np.zeros((len(BELTS), 1, 3))
     velocity[:, 0, 0] = speed
-    experiments = tuple(
-        Experiment(
-            on_belt(body(Box((HALF,) * 3), position=(0, 0, HALF))),
-            0.6,
-            tuple(f"{v:g} m/s, mu {mu:g}" for v, mu in BELTS),
-            (Start("surface_velocity", velocity, bodies=["belt"]), Start("friction", friction[:, None])),
-            dt=dt,
-            label=f"dt 1/{round(1 / dt)}",
-        )
-        for dt in steps
-    )
+    scene = on_belt(body(Box((HALF,) * 3), position=(0, 0, HALF)))
+    names = tuple(f"{v:g} m/s, mu {mu:g}" for v, mu in BELTS)
+    starts = Start("surface_velocity", velocity, bodies=["belt"]), per_env("friction", friction)
 
     def arrival(trace: Trace) -> np.ndarray:
         """Time of the last step that still accelerates, and of the share of the next one [s]."""
@@ -77,7 +69,7 @@ def parcels(steps):
         "Coulomb's law: v / (mu g), and the sum of the steps for v^2 / (2 mu g)",
         measured("time to the speed of the belt", "s", arrival, relative(0.01), in_time),
         measured("slip until then", "m", slip, relative(0.01), by_steps),
-        of=experiments,
+        of=[Experiment(scene, 0.6, names, starts, dt=dt, label=f"dt 1/{round(1 / dt)}") for dt in steps],
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )
 

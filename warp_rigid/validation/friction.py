@@ -232,16 +232,14 @@ def incline_grid():
     exact = 0.5 * np.maximum(pull(degrees, friction), 0.0)
     sliding = exact > 0.0
     experiment = block_on_incline(SLAB, degrees, friction, duration=1.0, every=24)
-    labels = np.array(experiment.variants)
+    moving, resting = (np.array(experiment.variants)[chosen].tolist() for chosen in (sliding, ~sliding))
     return case(
         "V22",
         "grid of 25 slopes and frictions, and 2 degrees from each friction angle",
         COULOMB,
         measured("slides", "", lambda t: along(t)[-1] > 1e-4, OUTCOME, sliding),
-        measured(
-            "distance after 1 s", "m", way, relative(5e-3), exact[sliding], sliding, labels=labels[sliding].tolist()
-        ),
-        measured("slip", "m", way, absolute(1e-5), rows=~sliding, labels=labels[~sliding].tolist()),
+        measured("distance after 1 s", "m", way, relative(5e-3), exact[sliding], sliding, labels=moving),
+        measured("slip", "m", way, absolute(1e-5), rows=~sliding, labels=resting),
         of=experiment,
         curve=Curve("way", "m", along),
     )
@@ -255,16 +253,13 @@ def stopping_distance():
     """
     start, friction = np.array([(2.0, 0.2), (2.0, 0.4), (2.0, 0.7), (5.0, 0.5)]).T
 
+    scene = on_ground(body(Box((0.25, 0.25, 0.25)), position=(0, 0, 0.25)))
+    velocity = np.stack([start, 0 * start, 0 * start], axis=1)[:, None]
+    starts = per_env("friction", friction), Start("linear_velocity", velocity, bodies=[1])
+
     def experiment(steps):
-        velocity = np.stack([start, 0 * start, 0 * start], axis=1)[:, None]
-        return Experiment(
-            on_ground(body(Box((0.25, 0.25, 0.25)), position=(0, 0, 0.25))),
-            2.0,
-            tuple(f"v0 {v:g}, mu {mu:g}, dt 1/{steps}" for v, mu in zip(start, friction, strict=True)),
-            (per_env("friction", friction), Start("linear_velocity", velocity, bodies=[1])),
-            dt=1 / steps,
-            every=8,
-        )
+        names = tuple(f"v0 {v:g}, mu {mu:g}, dt 1/{steps}" for v, mu in zip(start, friction, strict=True))
+        return Experiment(scene, 2.0, names, starts, dt=1 / steps, every=8)
 
     exact = np.tile(start**2 / (2 * friction * G), 2)
     by_steps = exact - 0.5 * np.outer([1 / 240, 1 / 480], start).ravel()

@@ -141,19 +141,16 @@ def head_on():
     restitution, apart = np.array(cells).T
     place = np.zeros((len(cells), 2, 3))
     place[:, 0, 0], place[:, 1, 0] = -apart, apart
+    scene = in_space(*(body(Sphere(0.5), mass=1.0, linear_velocity=(-side, 0, 0)) for side in (-1, 1)))
+    names = tuple(f"e {e:g}, from {2 * x - 1:.4g} m apart" for e, x in cells)
+    starts = per_env("restitution", restitution), Start("position", place)
     return case(
         "V17",
         "head-on collision of two spheres at +-1 m/s",
         "Chrono's CorNormal; e = speed after over speed before",
         measured("speed after", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], absolute(1e-3), restitution),
         measured("momentum", "kg m/s", lambda t: t.momentum[-1, :, 0], absolute(1e-6)),
-        of=Experiment(
-            in_space(*(body(Sphere(0.5), mass=1.0, linear_velocity=(-side, 0, 0)) for side in (-1, 1))),
-            1.0,
-            tuple(f"e {e:g}, from {2 * x - 1:.4g} m apart" for e, x in cells),
-            (per_env("restitution", restitution), Start("position", place)),
-            every=24,
-        ),
+        of=Experiment(scene, 1.0, names, starts, every=24),
     )
 
 

@@ -30,28 +30,21 @@ def heap(base=6):
         height = trace.position[:, :, 1:, 2].mean(axis=2) - radius
         return height[np.searchsorted(trace.time, time - 1e-9)] / height[0]
 
+    def increase(subject):
+        return np.diff(kept(subject[0], 0.5))
+
     count = base * (base + 1) * (2 * base + 1) // 6
+    scene = on_ground(partial(stacks.add_ball_pyramid, base=base, radius=radius))
+    starts = per_env("friction", friction), per_env("rolling_friction", rolling)
+    more = "increase of the height kept after 0.5 s over less friction"
     return case(
         "V60",
         f"heaps of {count} balls, 3 s from a square pyramid",
         "Zhou 2001 and 2002: order and trend",
         measured("height kept without friction", "", kept, at_most(0.05), rows=slice(1)),
-        Check(
-            "increase of the height kept after 0.5 s over less friction",
-            "",
-            lambda s: np.diff(kept(s[0], 0.5)),
-            AT_LEAST,
-            0.02,
-            labels=names[1:],
-        ),
+        Check(more, "", increase, AT_LEAST, 0.02, labels=names[1:]),
         measured("height kept with most friction", "", kept, AT_LEAST, 0.9, rows=slice(-1, None)),
-        of=Experiment(
-            on_ground(partial(stacks.add_ball_pyramid, base=base, radius=radius)),
-            3.0,
-            names,
-            (per_env("friction", friction), per_env("rolling_friction", rolling)),
-            every=24,
-        ),
+        of=Experiment(scene, 3.0, names, starts, every=24),
     )
 
 
@@ -80,20 +73,14 @@ def bins_of_boxes(count, bins, moves=None):
     def overlap(traces):
         return np.median(each(lambda t: t.overlap[-1])(traces))
 
-    label = (f"median of {bins} bins",)
+    label, names = (f"median of {bins} bins",), tuple(f"mu {mu:.3f}" for mu in friction)
+    scene, starts = on_ground(cubes, friction=BIN_FRICTION), (per_env("friction", friction),)
     return case(
         "V76",
         f"{count} boxes in a bin at one step of 1/60 s per frame",
         "a heap of inelastic boxes comes to rest without overlap",
         Check("largest speed after 6 s", "m/s or rad/s", speed, at_most(BIN_RESTING), labels=label, miss=moves),
         Check("deepest overlap after 6 s", "m", overlap, at_most(2.5e-4), labels=label),
-        of=Experiment(
-            on_ground(cubes, friction=BIN_FRICTION),
-            6.0,
-            tuple(f"mu {mu:.3f}" for mu in friction),
-            (per_env("friction", friction),),
-            dt=1 / 60,
-            every=30,
-        ),
+        of=Experiment(scene, 6.0, names, starts, dt=1 / 60, every=30),
         curve=Curve("largest speed", "m/s or rad/s", lambda t: t.speed),
     )

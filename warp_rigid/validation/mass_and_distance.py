@@ -201,19 +201,16 @@ def sphere_distance(cells, count, frequency):
             rows.append((np.abs(value - distance(points)).max(), bound, angle))
         return np.array(rows)
 
-    names = tuple(f"{n} cells" for n in cells)
+    def turn(rows):
+        return rows[[fine], 2]
+
+    names, fine = [f"{n} cells" for n in cells], cells.index(FINE)
     return case(
         "V05",
         "distance grid of a sphere, R 0.5",
         "bound of trilinear interpolation, h^2 / (4 r), and the mesh's sag",
         Check("largest error within 3 cells", "m", lambda s: s[:, 0], at_most(0.0), lambda s: s[:, 1]),
-        Check(
-            "largest error of the normals of contacts, h = R / 32",
-            "deg",
-            lambda s: s[[cells.index(FINE)], 2],
-            at_most(1.0),
-            labels=(f"{FINE} cells",),
-        ),
+        Check("largest error of the normals of contacts, h = R / 32", "deg", turn, at_most(1.0), labels=[names[fine]]),
         compute=compute,
         labels=names,
     )
@@ -365,13 +362,9 @@ def coverage(count):
         "samples of mesh surfaces",
         "the stated spacing, a sixteenth of the longest side",
         Check(
-            "largest distance of a surface point from a sample, over the spacing",
-            "",
-            lambda s: [farthest(mesh) for mesh in s],
-            at_most(1e-6),
-            1.0,
+            "largest distance of a surface point from a sample, over the spacing", "", np.asarray, at_most(1e-6), 1.0
         ),
-        compute=lambda _: [make() for make in made.values()],
+        compute=lambda _: [farthest(make()) for make in made.values()],
         labels=tuple(made),
         on_device=False,
     )

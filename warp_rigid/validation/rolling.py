@@ -136,17 +136,14 @@ def authors_rolling():
     """The sphere of the authors of the 2003 method on inclines of k 4.5 degrees, which never slips."""
     degrees = 4.5 * np.arange(1, 11)
     sine = np.sin(np.radians(degrees))
+    names = tuple(f"{angle:g} deg" for angle in degrees)
+    starts = Start("gravity", [downhill(angle) for angle in degrees]), Start("friction", 1e4)
     return case(
         "V25",
         "sphere without slip on ten inclines from 4.5 to 45 degrees",
         "PhysBAM sphere on an incline: (5/14) g t^2 sin^2",
         measured("height lost in 1 s", "m", lambda t: forward(t)[-1] * sine, relative(0.01), 5 / 14 * G * sine**2),
-        of=ball(
-            duration=1.0,
-            variants=tuple(f"{angle:g} deg" for angle in degrees),
-            starts=(Start("gravity", [downhill(angle) for angle in degrees]), Start("friction", 1e4)),
-            every=4,
-        ),
+        of=ball(duration=1.0, variants=names, starts=starts, every=4),
         curve=Curve("way", "m", forward),
     )
 
@@ -178,18 +175,14 @@ def rolling_friction_holds():
     """A ball starts to roll above tan = c / R and stays at rest below."""
     shares = np.array([0.5, 0.9, 1.1, 2.0])
     slopes = [downhill(np.degrees(np.arctan(share * 0.01 / 0.5))) for share in shares]
+    names = tuple(f"tan = {share:g} c / R" for share in shares)
+    starts = Start("gravity", slopes), Start("friction", 0.5), Start("rolling_friction", 0.01)
     return case(
         "V29",
         "rolling friction on a slope, R 0.5 m, c 0.01 m",
         "rolls above tan = c / R",
         measured("rolls", "", lambda t: forward(t)[-1] > 1e-3, OUTCOME, shares > 1.0),
-        of=ball(
-            0.5,
-            duration=2.0,
-            variants=tuple(f"tan = {share:g} c / R" for share in shares),
-            starts=(Start("gravity", slopes), Start("friction", 0.5), Start("rolling_friction", 0.01)),
-            every=24,
-        ),
+        of=ball(0.5, duration=2.0, variants=names, starts=starts, every=24),
     )
 
 
@@ -231,25 +224,17 @@ def force_direction(duration):
         rolling = trace.linear_velocity[:, :, 2] - 2 / 7 * exact
         return ((box**2).sum(axis=-1) + (rolling**2).sum(axis=-1)).mean(axis=0)
 
+    def acceleration(trace):
+        return np.einsum("ei,ei->e", trace.linear_velocity[-1, :, 1], heading) / trace.time[-1]
+
+    names = tuple(f"{angle:g} deg to x" for angle in angles)
+    starts = (Start("force", (force * heading)[:, None], bodies=[1]),)
     return case(
         "V33",
         "box with 25 balls dragged in four directions by 1.09 of its friction",
         "SimBenchmark rolling; a = (F - mu N) / (M + 2 m n / 7)",
-        measured(
-            "acceleration of the box",
-            "m/s^2",
-            lambda t: np.einsum("ei,ei->e", t.linear_velocity[-1, :, 1], heading) / t.time[-1],
-            relative(0.01),
-            box_rate,
-        ),
+        measured("acceleration of the box", "m/s^2", acceleration, relative(0.01), box_rate),
         measured("mean squared error of the speeds", "m^2/s^2", deviation, at_most(1e-4)),
-        of=Experiment(
-            on_ground(*parts, friction=mu),
-            duration,
-            tuple(f"{angle:g} deg to x" for angle in angles),
-            (Start("force", (force * heading)[:, None], bodies=[1]),),
-            dt=1e-3,
-            every=10,
-        ),
+        of=Experiment(on_ground(*parts, friction=mu), duration, names, starts, dt=1e-3, every=10),
         curve=Curve("speed of the box", "m/s", lambda t: np.linalg.norm(t.linear_velocity[:, :, 1], axis=-1)),
     )

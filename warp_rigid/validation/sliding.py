@@ -86,13 +86,10 @@ def slide(shape, height, label) -> Experiment:
     """Experiment: a body that slides and spins on level ground, an environment for each of MOTIONS."""
     velocity = np.array([[(speed, 0.0, 0.0)] for speed, _ in MOTIONS])
     spin = np.array([[(0.0, 0.0, w)] for _, w in MOTIONS])
-    return Experiment(
-        on_ground(body(shape, position=(0, 0, height), friction=MU), friction=MU),
-        1.5,
-        tuple(f"{speed:g} m/s, {w:g} rad/s" for speed, w in MOTIONS),
-        (Start("linear_velocity", velocity, bodies=[1]), Start("angular_velocity", spin, bodies=[1])),
-        label=label,
-    )
+    scene = on_ground(body(shape, position=(0, 0, height), friction=MU), friction=MU)
+    names = tuple(f"{speed:g} m/s, {w:g} rad/s" for speed, w in MOTIONS)
+    starts = Start("linear_velocity", velocity, bodies=[1]), Start("angular_velocity", spin, bodies=[1])
+    return Experiment(scene, 1.5, names, starts, label=label)
 
 
 def stop_checks(*bodies):

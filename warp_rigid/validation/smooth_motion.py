@@ -1,5 +1,7 @@
 """Section I: bodies that roll over cells, land flush on each other, and are carried along circles."""
 
+from typing import Any
+
 import numpy as np
 
 from warp_rigid.scene.scene import Scene
@@ -56,15 +58,12 @@ def flush_landing() -> ValidationCase:
     landings = [
         Experiment(scene(ratio, 0.15, friction=0.6), duration=1.0, label=f"width {ratio:g} : 1") for ratio in (1.0, 2.0)
     ]
-    bounces = [
-        Experiment(
-            scene(1 / overhang, 2.5, friction=friction, restitution=1.0),
-            duration=1.0,
-            label=f"overhang {overhang:g} : 1, elastic, friction {friction:g}",
-        )
-        for overhang in (2.0, 5.0, 10.0)
-        for friction in (0.0, 0.5)
-    ]
+
+    def bounce(overhang: float, friction: float) -> Experiment:
+        label = f"overhang {overhang:g} : 1, elastic, friction {friction:g}"
+        return Experiment(scene(1 / overhang, 2.5, friction=friction, restitution=1.0), duration=1.0, label=label)
+
+    bounces = [bounce(overhang, friction) for overhang in (2.0, 5.0, 10.0) for friction in (0.0, 0.5)]
     return case(
         "V101",
         "box that lands flush on an equal or wider box, or bounces on a narrower one",
@@ -83,13 +82,9 @@ def turntable(steps, duration: float) -> ValidationCase:
         made.add_kinematic(Cylinder(1.0, 0.05), position=(0, 0, -0.05), angular_velocity=(0, 0, SPIN), friction=0.5)
         for k, radius in enumerate(PLACES):
             way = np.array([np.cos(k), np.sin(k), 0.0])
-            made.add_body(
-                Box((HALF,) * 3),
-                position=radius * way + (0, 0, HALF),
-                linear_velocity=SPIN * radius * np.array([-way[1], way[0], 0]),
-                angular_velocity=(0, 0, SPIN),
-                friction=0.5,
-            )
+            velocity = SPIN * radius * np.array([-way[1], way[0], 0])
+            motion: dict[str, Any] = {"linear_velocity": velocity, "angular_velocity": (0, 0, SPIN)}
+            made.add_body(Box((HALF,) * 3), position=radius * way + (0, 0, HALF), friction=0.5, **motion)
         return made
 
     def creep(trace):

@@ -25,7 +25,7 @@ from warp_rigid.validation.case import (
     measured,
     relative,
 )
-from warp_rigid.validation.common import G, largest_rise
+from warp_rigid.validation.common import G, largest_rise, per_env
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 from warp_rigid.validation.solids import extrude
 
@@ -109,14 +109,8 @@ def heavy_on_light(duration):
     mass = np.array([(1000.0, 1000.0 * ratio) for ratio, _ in cells])
     kept = [row for row, (_, mode) in enumerate(cells) if mode != "off"]
     cold = [len(cells) - 1]
-    experiment = Experiment(
-        lambda: stack_scene(2, 0.5),
-        duration,
-        tuple(f"{ratio:g} : 1, {mode}" for ratio, mode in cells),
-        (Start("mass", mass, bodies=[1, 2]), Start("shock_propagation", [mode for _, mode in cells])),
-        dt=1 / 60,
-        every=6,
-    )
+    names = tuple(f"{ratio:g} : 1, {mode}" for ratio, mode in cells)
+    starts = Start("mass", mass, bodies=[1, 2]), Start("shock_propagation", [mode for _, mode in cells])
 
     def top(t):
         return t.position[0, :, 2, 2] - t.position[-1, :, 2, 2]
@@ -128,7 +122,7 @@ def heavy_on_light(duration):
         measured("height lost by the top", "m", top, at_most(5e-4), rows=kept),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3), rows=kept),
         measured("height lost without shock propagation", "m", top, AT_LEAST, 5e-3, rows=cold),
-        of=experiment,
+        of=Experiment(partial(stack_scene, 2, 0.5), duration, names, starts, dt=1 / 60, every=6),
         curve=Curve("height lost", "m", lambda t: t.position[0, :, 2, 2] - t.position[:, :, 2, 2]),
     )
 
@@ -151,15 +145,10 @@ def column(counts, duration):
     """Unit cubes with two restitutions: the ground supports their weight, and nothing moves."""
 
     def experiment(count):
-        return Experiment(
-            lambda: stack_scene(count, 0.5),
-            duration,
-            ("e 0", "e 0.5"),
-            (Start("restitution", np.array([[0.0], [0.5]])),),
-            every=24,
-            label=f"{count} cubes",
-        )
+        scene = partial(stack_scene, count, 0.5)
+        return Experiment(scene, duration, ("e 0", "e 0.5"), starts, every=24, label=f"{count} cubes")
 
+    starts = (per_env("restitution", [0.0, 0.5]),)
     weight = np.repeat([count * 1000.0 * G for count in counts], 2)
     return case(
         "V37",
@@ -222,13 +211,9 @@ def way_starts(names) -> tuple[Start, ...]:
 def leaning(offsets, ways, duration, **options) -> Experiment:
     """Experiment: towers of ten cubes of 0.2 m; environments differ in relative offset and settings."""
     place = np.array([stacks.column(10, lean=2 * HALF * offset) for offset in offsets])
-    return Experiment(
-        lambda: stack_scene(10),
-        duration,
-        tuple(f"{offset:g} w, {way}" for offset, way in zip(offsets, ways, strict=True)),
-        (Start("position", place, bodies=list(range(1, 11))), *way_starts(ways)),
-        **options,
-    )
+    names = tuple(f"{offset:g} w, {way}" for offset, way in zip(offsets, ways, strict=True))
+    starts = Start("position", place, bodies=list(range(1, 11))), *way_starts(ways)
+    return Experiment(partial(stack_scene, 10), duration, names, starts, **options)
 
 
 OFFSETS = (0.0, 0.05, 0.08, 0.12, 0.15, 0.2)
@@ -268,10 +253,8 @@ def leaning_towers(duration):
 
     def leans(way, chosen):
         labels = [f"{OFFSETS[k]:g} w; statics: stands" for k in chosen]
-        name, rows = f"leans by 3 cm or falls, {way}: does", rows_of(way, chosen)
-        return measured(
-            name, "", lambda t: farthest(t) > 0.03, OUTCOME, [True] * len(rows), rows, labels=labels, itemized=True
-        )
+        name, rows, all_do = f"leans by 3 cm or falls, {way}: does", rows_of(way, chosen), [True] * len(chosen)
+        return measured(name, "", lambda t: farthest(t) > 0.03, OUTCOME, all_do, rows, labels=labels, itemized=True)
 
     def moves(way, limit):
         rows = rows_of(way, [k for k, due in enumerate(statics) if not due])
@@ -331,18 +314,12 @@ def toppling(directions: int):
         standing = np.cumprod(upright.reshape(-1, len(ratios)), axis=1).sum(axis=1)
         return np.concatenate([[0.0], ratios])[standing]
 
+    labels = [f"{name}, {np.degrees(a):.1f} deg" for name in solids for a in angle]
     return case(
         "V103",
         "toppling of cylinders and prisms",
         "statics: the weight points to the edge of the base",
-        Check(
-            "largest slope at which it stands, over that of statics",
-            "",
-            limits,
-            relative(0.005),
-            1.0,
-            labels=[f"{name}, {np.degrees(a):.1f} deg" for name in solids for a in angle],
-        ),
+        Check("largest slope at which it stands, over that of statics", "", limits, relative(0.005), 1.0, labels),
         of=[experiment(name) for name in solids],
     )
 
