@@ -33,14 +33,8 @@ def pile(friction: float = 0.5, restitution: float = 0.5) -> wr.Scene:
     scene.add_static(wr.Plane(), name="ground", **surface)
     for i in range(BODIES):
         place = (0.12 * (i % 2), 0.05 * i, 0.15 + 0.16 * i)
-        scene.add_body(
-            wr.Sphere(0.1),
-            position=place,
-            linear_velocity=(4.0 - 2.0 * i, 1.0, 0),
-            mass=1.0,
-            name=f"ball_{i}",
-            **surface,
-        )
+        velocity = (4.0 - 2.0 * i, 1.0, 0)
+        scene.add_body(wr.Sphere(0.1), position=place, linear_velocity=velocity, mass=1.0, name=f"ball_{i}", **surface)
     return scene
 
 

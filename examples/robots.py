@@ -31,16 +31,7 @@ ROBOTS = {
 HUNG = ("Panda, arm and gripper",)
 """Hangs from a ceiling: from upright, its differences are larger (0.07 rad, without inclined gravity)."""
 SECONDS, DT = 1.0, 5e-4
-HEADER = (
-    "robot",
-    "joints",
-    "mass [kg]",
-    "difference of mass [kg]",
-    "of angle [rad]",
-    "of last link [mm]",
-    "growth",
-    "left out",
-)
+HEADER = "robot | joints | mass [kg] | difference of mass [kg] | of angle [rad] | of last link [mm] | growth | left out"
 
 
 def data_folder():
@@ -104,7 +95,7 @@ def compare(name, path):
 def main():
     """Print the table."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else data_folder()
-    print("| " + " | ".join(HEADER) + " |\n" + "|---" * len(HEADER) + "|")
+    print(f"| {HEADER} |\n" + "|---" * len(HEADER.split("|")) + "|")
     for name, file in ROBOTS.items():
         row = compare(name, folder / file)
         figures = [f"{row[key]:.2g}" for key in ("mass_difference", "angle", "position", "growth")]
