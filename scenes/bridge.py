@@ -34,13 +34,8 @@ def build(planks: int = 50, ratio: float = 1000.0, damping: float = 20.0) -> Sce
     for k in range(planks):
         along = corners[k + 1] - corners[k]
         lean = -0.5 * np.arctan2(along[2], along[0])
-        plank = scene.add_body(
-            Box(PLANK),
-            position=0.5 * (corners[k] + corners[k + 1]),
-            orientation=(0, np.sin(lean), 0, np.cos(lean)),
-            mass=PLANK_MASS,
-            name=f"plank_{k}",
-        )
+        place, turn = 0.5 * (corners[k] + corners[k + 1]), (0, np.sin(lean), 0, np.cos(lean))
+        plank = scene.add_body(Box(PLANK), position=place, orientation=turn, mass=PLANK_MASS, name=f"plank_{k}")
         _hinge(scene, plank, above, corners[k], damping)
         above = plank
     _hinge(scene, above, None, corners[-1], damping)

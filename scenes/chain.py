@@ -1,5 +1,7 @@
 """A chain of a hundred links carries a ball a thousand times heavier than a link."""
 
+from typing import Any
+
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import SphericalJoint
@@ -23,17 +25,11 @@ def build(links: int = 100, ratio: float = 1000.0, speed: float = 1.0) -> Scene:
     ratio = number_in("ratio", ratio, 0.1, 10_000.0)
     speed = number_in("speed", speed, 0.0, 5.0)
     scene = Scene(camera=Camera.orbit(-75.0, -10.0, look_at=(0, 0, 0.5 - LENGTH * links), distance=3.6))
-    above = None
+    above, spin = None, (0, -speed / (LENGTH * links), 0)
     for k in range(links):
-        fraction = (k + 0.5) / links
-        body = scene.add_body(
-            Capsule(0.015, 0.03),
-            position=(0, 0, -LENGTH * (k + 0.5)),
-            linear_velocity=(fraction * speed, 0, 0),
-            angular_velocity=(0, -speed / (LENGTH * links), 0),
-            mass=LINK_MASS,
-            name=f"link_{k}",
-        )
+        place, velocity = (0, 0, -LENGTH * (k + 0.5)), ((k + 0.5) / links * speed, 0, 0)
+        motion: dict[str, Any] = {"linear_velocity": velocity, "angular_velocity": spin}
+        body = scene.add_body(Capsule(0.015, 0.03), position=place, mass=LINK_MASS, name=f"link_{k}", **motion)
         scene.add_joint(SphericalJoint(), body, above, anchor=(0, 0, -LENGTH * k))
         above = body
     end = -LENGTH * links

@@ -42,13 +42,8 @@ def build(rows: int = 25, columns: int = 20, angle: float = 60.0) -> Scene:
     above: int | None = None
     links = []
     for k in range(LINKS):
-        link = scene.add_body(
-            Capsule(0.04, 0.5 * LINK - 0.05),
-            position=pivot + (k + 0.5) * LINK * along,
-            orientation=orientation,
-            mass=LINK_MASS,
-            name=f"link_{k}",
-        )
+        rod, middle = Capsule(0.04, 0.5 * LINK - 0.05), pivot + (k + 0.5) * LINK * along
+        link = scene.add_body(rod, position=middle, orientation=orientation, mass=LINK_MASS, name=f"link_{k}")
         scene.add_joint(SphericalJoint(), link, above, anchor=pivot + k * LINK * along)
         above = link
         links.append(link)

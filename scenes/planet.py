@@ -1,7 +1,5 @@
 """Bodies fall from all sides on a small planet and settle all around it; there is no global up direction."""
 
-from typing import Any
-
 import numpy as np
 
 from warp_rigid import rotations
@@ -22,12 +20,7 @@ STRENGTH = 100.0
 RADIUS = 0.5
 NEAREST, SPREAD = 6.5, 1.5
 KICK = 0.3
-SURFACE: dict[str, Any] = {
-    "friction": 0.9,
-    "restitution": 0.1,
-    "rolling_friction": 0.15 * RADIUS,
-    "spinning_friction": 0.05 * RADIUS,
-}
+SURFACE = assortment.rough_surface(RADIUS)
 
 
 def build(bodies: int = 40, seed: int = 0) -> Scene:

@@ -37,12 +37,8 @@ def build(large_mass: float = 10.0, small_mass: float = 5.0) -> Scene:
     scene = grounds.level_scene(friction=0.5, name="ground", camera=Camera.orbit(-84.0, 14.0))
     # A cube on its edge: on a cylinder the plank would have a stable equilibrium to return to.
     side = math.sqrt(0.5) * PIVOT_HEIGHT
-    scene.add_static(
-        Box((side, 0.4, side)),
-        orientation=(0, math.sin(math.pi / 8.0), 0, math.cos(math.pi / 8.0)),
-        friction=1.0,
-        name="pivot",
-    )
+    turn = (0, math.sin(math.pi / 8.0), 0, math.cos(math.pi / 8.0))
+    scene.add_static(Box((side, 0.4, side)), orientation=turn, friction=1.0, name="pivot")
     z = PIVOT_HEIGHT + PLANK_HALF[2]
     _add_turning(scene, "plank", PLANK_HALF, (0.0, z), 10.0, 1.0)
     z += PLANK_HALF[2]
@@ -54,15 +50,8 @@ def build(large_mass: float = 10.0, small_mass: float = 5.0) -> Scene:
 def _add_turning(scene, name, half_extents, place, mass, friction):
     """Add a box centred at (x, z) = `place` [m] that rotates about the ridge."""
     x, z = place
-    scene.add_body(
-        Box(half_extents),
-        position=(x, 0, z),
-        linear_velocity=(SPIN * (z - PIVOT_HEIGHT), 0, -SPIN * x),
-        angular_velocity=(0, SPIN, 0),
-        mass=mass,
-        friction=friction,
-        name=name,
-    )
+    motion = {"linear_velocity": (SPIN * (z - PIVOT_HEIGHT), 0, -SPIN * x), "angular_velocity": (0, SPIN, 0)}
+    scene.add_body(Box(half_extents), position=(x, 0, z), mass=mass, friction=friction, name=name, **motion)
 
 
 class SeesawOutcome(SceneOutcome):

@@ -1,7 +1,6 @@
 """Random convex bodies fall on a fixed slab and come to rest."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -19,12 +18,7 @@ PITCH = 0.6
 JITTER = 0.04
 LOWEST = 0.8
 SLAB_HALF_HEIGHT = 0.25
-SURFACE: dict[str, Any] = {
-    "friction": 0.9,
-    "restitution": 0.1,
-    "rolling_friction": 0.15 * RADIUS,
-    "spinning_friction": 0.05 * RADIUS,
-}
+SURFACE = assortment.rough_surface(RADIUS)
 
 
 def build(bodies: int = 100, seed: int = 0) -> Scene:

@@ -56,21 +56,13 @@ def _add_dish(scene, surface):
     out = PLATFORM_HALF + 0.5 * SIDE * math.cos(SLOPE) + THIN * math.sin(SLOPE)
     up = PLATFORM_TOP + 0.5 * SIDE * math.sin(SLOPE) - THIN * math.cos(SLOPE)
     tilt, level = math.sin(0.5 * SLOPE), math.cos(0.5 * SLOPE)
+    side, front = Box((0.5 * SIDE, width, THIN)), Box((width, 0.5 * SIDE, THIN))
     for sign in (-1.0, 1.0):
-        scene.add_static(
-            Box((0.5 * SIDE, width, THIN)),
-            position=(sign * out, 0, up),
-            orientation=(0, -sign * tilt, 0, level),
-            name="side",
-            **surface,
-        )
-        scene.add_static(
-            Box((width, 0.5 * SIDE, THIN)),
-            position=(0, sign * out, up),
-            orientation=(sign * tilt, 0, 0, level),
-            name="side",
-            **surface,
-        )
+        for shape, place, turn in (
+            (side, (sign * out, 0, up), (0, -sign * tilt, 0, level)),
+            (front, (0, sign * out, up), (sign * tilt, 0, 0, level)),
+        ):
+            scene.add_static(shape, position=place, orientation=turn, name="side", **surface)
 
 
 def _own(parameter, path, size):

@@ -47,21 +47,16 @@ def build(parcels: int = 6, speed: float = 1.5, friction: float = 0.5) -> Scene:
     friction = number_in("friction", friction, 0.3, 0.9)
     scene = grounds.level_scene((0, 0, -GRAVITY), name="ground", camera=Camera.orbit(50.0, 30.0))
     begin = FIRST - PITCH * (parcels - 1) - 0.3
-    belt = scene.add_static(
-        Box((0.5 * (END - begin), HALF_WIDTH, 0.5 * TOP)),
-        position=(0.5 * (begin + END), 0.0, 0.5 * TOP),
-        surface_velocity=(speed, 0, 0),
-        friction=friction,
-        name="belt",
-    )
+    half, middle = (0.5 * (END - begin), HALF_WIDTH, 0.5 * TOP), (0.5 * (begin + END), 0.0, 0.5 * TOP)
+    belt = scene.add_static(Box(half), position=middle, surface_velocity=(speed, 0, 0), friction=friction, name="belt")
     scene.looks[belt] = Look(RUBBER)
     scene.add_kinematic(Box(ARM_HALF), path=arm_path(parcels, speed, friction), friction=0.0, name="arm")
-    for name, middle in BINS.items():
-        grounds.add_bin(scene, BIN_HALF, BIN_HEIGHT, 2.0 * WALL_HALF, center=middle, names=f"{name}_bin")
+    for name, center in BINS.items():
+        grounds.add_bin(scene, BIN_HALF, BIN_HEIGHT, 2.0 * WALL_HALF, center=center, names=f"{name}_bin")
     for k in range(parcels):
-        size, half = list(SIZES.items())[k % len(SIZES)]
-        place = (FIRST - PITCH * k, 0.0, TOP + half)
-        scene.add_body(Box((half,) * 3), position=place, density=200.0, friction=friction, name=f"parcel_{k}_{size}")
+        size, edge = list(SIZES.items())[k % len(SIZES)]
+        place = (FIRST - PITCH * k, 0.0, TOP + edge)
+        scene.add_body(Box((edge,) * 3), position=place, density=200.0, friction=friction, name=f"parcel_{k}_{size}")
     return scene
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,12 @@ _MAKERS: dict[str, Callable[[float], Shape]] = {
 
 CONVEX_KINDS = tuple(_MAKERS)
 """Kinds that `convex_solid` accepts."""
+
+
+def rough_surface(radius: float) -> dict[str, Any]:
+    """Coefficients with which solids of a radius [m] come to rest soon."""
+    resisting = {"rolling_friction": 0.15 * radius, "spinning_friction": 0.05 * radius}
+    return {"friction": 0.9, "restitution": 0.1, **resisting}
 
 
 @cache
