@@ -115,15 +115,12 @@ def _model(problem: PeerProblem, mesh: newton.Mesh | None) -> newton.ModelBuilde
     whole = newton.ModelBuilder()
     _configure(whole, problem)
     whole.add_ground_plane()
-    if problem.hinges:
-        # All environments start alike.
-        whole.replicate(_tree(problem), copy_count=problem.num_envs)
-        return whole
     for env in range(problem.num_envs):
         world = newton.ModelBuilder()
         _configure(world, problem)
-        for place, orientation in zip(problem.position[env], problem.orientation[env], strict=True):
-            body = world.add_body(xform=wp.transform(wp.vec3(*place), wp.quat(*orientation)))
+        add = world.add_link if problem.hinges else world.add_body
+        for pose in zip(problem.position[env], problem.orientation[env], strict=True):
+            body = add(xform=_frame(pose))
             if mesh is None:
                 hx, hy, hz = problem.half_extents
                 world.add_shape_box(body, hx=hx, hy=hy, hz=hz)
@@ -136,35 +133,25 @@ def _model(problem: PeerProblem, mesh: newton.Mesh | None) -> newton.ModelBuilde
                 world.add_shape_box(-1, xform=place, hx=hx, hy=hy, hz=hz)
             else:
                 world.add_shape_cylinder(-1, xform=place, radius=part["radius"], half_height=part["half_height"])
+        if problem.hinges:
+            world.add_articulation([_add_hinge(world, hinge) for hinge in problem.hinges])
         whole.add_world(world)
     return whole
 
 
-def _tree(problem: PeerProblem) -> newton.ModelBuilder:
-    """One environment of bodies that hinges join."""
-    world = newton.ModelBuilder()
-    _configure(world, problem)
-    hx, hy, hz = problem.half_extents
-    for place, orientation in zip(problem.position[0], problem.orientation[0], strict=True):
-        link = world.add_link(xform=wp.transform(wp.vec3(*place), wp.quat(*orientation)))
-        world.add_shape_box(link, hx=hx, hy=hy, hz=hz)
-    hinges = [
-        world.add_joint_revolute(
-            hinge["parent"],
-            hinge["child"],
-            parent_xform=_frame(hinge["in_parent"]),
-            child_xform=_frame(hinge["in_child"]),
-            axis=(1.0, 0.0, 0.0),
-            limit_lower=hinge["limits"][0],
-            limit_upper=hinge["limits"][1],
-            target_ke=hinge["stiffness"],
-            target_kd=hinge["damping"],
-            effort_limit=hinge["max_force"],
-        )
-        for hinge in problem.hinges
-    ]
-    world.add_articulation(hinges)
-    return world
+def _add_hinge(world: newton.ModelBuilder, hinge: dict) -> int:
+    return world.add_joint_revolute(
+        hinge["parent"],
+        hinge["child"],
+        parent_xform=_frame(hinge["in_parent"]),
+        child_xform=_frame(hinge["in_child"]),
+        axis=(1.0, 0.0, 0.0),
+        limit_lower=hinge["limits"][0],
+        limit_upper=hinge["limits"][1],
+        target_ke=hinge["stiffness"],
+        target_kd=hinge["damping"],
+        effort_limit=hinge["max_force"],
+    )
 
 
 def _frame(values) -> wp.transform:
