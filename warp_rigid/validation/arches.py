@@ -58,8 +58,7 @@ def arches(rates, duration):
 
     standing, falling = np.flatnonzero(~must_fall), np.flatnonzero(must_fall)
     return case(
-        "V70",
-        f"semicircular arches over the range of time steps, {duration:g} s",
+        f"V70 semicircular arches over the range of time steps, {duration:g} s",
         "limit analysis of rigid stones (linear programming)",
         measured("largest displacement of the crown", "m", farthest, at_most(1e-3), rows=standing),
         measured("falls", "", lambda t: [crown(t).min() < -0.25 * RADIUS], OUTCOME, 1, rows=falling, itemized=True),
@@ -90,8 +89,7 @@ def climbing(quick):
         return largest_rise(height[:, None])
 
     return case(
-        "V71",
-        f"structures at rest do not climb, {duration:g} s",
+        f"V71 structures at rest do not climb, {duration:g} s",
         "statics: the centre of mass does not rise by itself",
         Check("rise of the centre of mass over the size", "", lambda s: each(rise)(s) / sizes, at_most(1e-5)),
         of=tuple(at_rate(name, scene, duration, rate) for name, (scene, _) in structures.items() for rate in rates),

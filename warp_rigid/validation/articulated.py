@@ -84,8 +84,7 @@ def pendulums(duration: float) -> ValidationCase:
         return np.abs(total / total[0] - 1.0).max(axis=0)
 
     return case(
-        "V90",
-        "Simple pendulum",
+        "V90 Simple pendulum",
         "arithmetic-geometric mean; conservation of energy",
         measured("period", "s", period_of, relative(1e-3), [exact_period(a) for a in AMPLITUDES]),
         measured("change of energy", "", energy, at_most(1e-3)),
@@ -97,7 +96,7 @@ def chain(links: int, duration: float) -> ValidationCase:
     """A chain that swings with a ball a thousand times heavier than a link."""
     experiment = Experiment(partial(scenes.load, "chain", links=links), duration, every=4)
     gap = measured("largest gap of a joint", "m", opened, at_most(1e-4))
-    return case("V91", f"Chain of {links} links, 1000 : 1", "closed joints", gap, of=experiment)
+    return case(f"V91 Chain of {links} links, 1000 : 1", "closed joints", gap, of=experiment)
 
 
 def pallet(duration: float) -> ValidationCase:
@@ -111,13 +110,13 @@ def pallet(duration: float) -> ValidationCase:
 
     experiment = Experiment(partial(scenes.load, "pallet"), duration)
     moved = measured("displacement of a box relative to the first", "m", drift, at_most(4e-5))
-    return case("V92", "Pallet of twelve welded boxes", "mujoco_warp#1510", moved, of=experiment)
+    return case("V92 Pallet of twelve welded boxes", "mujoco_warp#1510", moved, of=experiment)
 
 
 def crane(duration: float) -> ValidationCase:
     """A crane lifts the upper box of a pile: the others must not move."""
     others = measured("displacement of the other boxes", "m", partial(displaced, bodies=slice(1, 6)), at_most(1e-4))
-    return case("V93", "Crane", "bodies at rest", others, of=Experiment(partial(scenes.load, "crane"), duration))
+    return case("V93 Crane", "bodies at rest", others, of=Experiment(partial(scenes.load, "crane"), duration))
 
 
 def bridge(planks: int, duration: float) -> ValidationCase:
@@ -128,8 +127,7 @@ def bridge(planks: int, duration: float) -> ValidationCase:
 
     experiment = Experiment(partial(scenes.load, "bridge", planks=planks), duration, every=4)
     return case(
-        "V94",
-        f"Rope bridge of {planks} planks, 1000 : 1",
+        f"V94 Rope bridge of {planks} planks, 1000 : 1",
         "closed joints, rest",
         measured("largest gap of a joint", "m", opened, at_most(1e-4)),
         measured("speed at the end", "m/s", speed, at_most(0.05)),
@@ -148,7 +146,7 @@ def cradle() -> ValidationCase:
     experiment = Experiment(partial(scenes.load, "cradle"), 0.6)
     labels = tuple(f"ball {k}" for k in range(1, 6))
     check = Check("speed after the impact", "", lambda s: speeds(s[0]), absolute(0.02), [0, 0, 0, 0, 1], labels=labels)
-    return case("V95", "Newton's cradle on strings", "conservation of momentum and energy", check, of=experiment)
+    return case("V95 Newton's cradle on strings", "conservation of momentum and energy", check, of=experiment)
 
 
 def welds() -> ValidationCase:
@@ -163,4 +161,4 @@ def welds() -> ValidationCase:
         return displaced(trace, slice(0, 1)) > 1e-3
 
     check = measured("weld breaks", "", broken, OUTCOME, [float(share > 1.0) for share in LOADS])
-    return case("V96", "Weld under a load", "its limit", check, of=experiment)
+    return case("V96 Weld under a load", "its limit", check, of=experiment)

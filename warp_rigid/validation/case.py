@@ -164,9 +164,10 @@ Cases = list[ValidationCase]
 
 
 def case(
-    id: str, title: str, source: str, *checks: Check, of: Experiment | Sequence[Experiment] = (), **options: Any
+    name: str, source: str, *checks: Check, of: Experiment | Sequence[Experiment] = (), **options: Any
 ) -> ValidationCase:
-    """A case of some checks, of an experiment or several; the other arguments are those of ValidationCase."""
+    """A case with its id and title as one name, of an experiment or several; other arguments as of ValidationCase."""
+    id, _, title = name.partition(" ")
     experiments = (of,) if isinstance(of, Experiment) else tuple(of)
     return ValidationCase(id, title, source, checks, experiments, **options)
 

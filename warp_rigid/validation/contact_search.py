@@ -112,8 +112,7 @@ def contacts_found(count, among):
         return count - len(np.unique(sim.contacts()["env"]))
 
     return case(
-        "V74",
-        f"{count} random overlapping pairs of every two kinds of polyhedra, {count * len(combinations)} in all",
+        f"V74 {count} random overlapping pairs of every two kinds of polyhedra, {count * len(combinations)} in all",
         "separating axes in float64",
         Check("pairs without a contact", "", np.asarray, at_most(0)),
         compute=lambda device: [missed(kinds, device) for kinds in combinations],
@@ -135,8 +134,7 @@ def pairs_part(count, kinds):
         return int((depth > 2.0 * RADIUS * PARTED).sum())
 
     return case(
-        "V74",
-        f"{count} overlapping pairs of each kind of polyhedron come apart",
+        f"V74 {count} overlapping pairs of each kind of polyhedron come apart",
         "separating axes in float64",
         Check("pairs that still overlap by 1 % of the size after 1 s", "", np.asarray, at_most(0)),
         compute=lambda device: [stuck(kind, device) for kind in kinds],

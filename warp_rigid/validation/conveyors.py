@@ -64,8 +64,7 @@ def parcels(steps):
     in_time = np.tile(speed / (friction * G), len(steps))
     by_steps = [slip_by_steps(v, mu, dt) for dt in steps for v, mu in BELTS]
     return case(
-        "V108",
-        "parcel on a belt",
+        "V108 parcel on a belt",
         "Coulomb's law: v / (mu g), and the sum of the steps for v^2 / (2 mu g)",
         measured("time to the speed of the belt", "s", arrival, relative(0.01), in_time),
         measured("slip until then", "m", slip, relative(0.01), by_steps),
@@ -86,8 +85,7 @@ def stack():
         return sim.get("position")[0, 1:].astype(np.float64)
 
     return case(
-        "V108",
-        "stack of three on a belt that starts and stops",
+        "V108 stack of three on a belt that starts and stops",
         "Coulomb's law: what the start takes from the way, the stop returns",
         Check("way", "m", lambda place: place[:, 0], relative(0.01), STACK_TIME),
         Check("shift within the stack", "m", lambda place: place[:, 0] - place[0, 0], absolute(1e-3)),
@@ -131,8 +129,7 @@ def plate_across_the_edge():
         return np.array([x, y, np.trapezoid(trace.angular_velocity[:, 0, 2, 2], trace.time)])
 
     return case(
-        "V108",
-        "plate on three feet across the edge of a belt",
+        "V108 plate on three feet across the edge of a belt",
         "equations of motion with equal loads",
         measured("way along the belt", "m", lambda t: motion(t)[1:2], relative(0.02), lambda _: plate_motion()[1]),
         measured("angle", "rad", lambda t: motion(t)[2:], relative(0.02), lambda _: plate_motion()[2]),

@@ -75,8 +75,7 @@ def symmetric_top(name, shape):
     tilt = np.degrees(np.arctan2(side * spin[0], axial * spin[2]))
     names = "upright", "turned", "2nd", "3rd"
     return case(
-        "V10",
-        f"torque-free symmetric top, {name}, spin (1, 0, 10) rad/s",
+        f"V10 torque-free symmetric top, {name}, spin (1, 0, 10) rad/s",
         f"{EULER}; Landau and Lifshitz, Mechanics, sections 33 to 36",
         measured("precession in space", "rad/s", precession, relative(1e-3), np.linalg.norm(total) / side),
         measured("precession in the body", "rad/s", body_rate, relative(1e-3), abs(axial - side) / side * spin[2]),
@@ -126,8 +125,7 @@ def flip(duration):
 
     names = tuple(f"spin {' '.join(f'{w:g}' for w in spin)} rad/s" for spin in spins)
     return case(
-        "V11",
-        "Dzhanibekov's flip, I 1 : 2 : 3",
+        "V11 Dzhanibekov's flip, I 1 : 2 : 3",
         "elliptic integral of Euler's equations",
         measured("time between flips", "s", mean, relative(2e-3), exact),
         measured("energy error over 10 s", "", lambda t: change(t.kinetic_energy), at_most(2e-4)),
@@ -156,8 +154,7 @@ def stable_axes(duration):
     middle = spin * np.array([1e-3, 1.0, 2e-3])
     exact = flip_interval(moments(ellipsoid), middle)
     return case(
-        "V12",
-        f"axes of an ellipsoid 2 x 1 x 0.5, 180 degrees/s, {duration:g} s",
+        f"V12 axes of an ellipsoid 2 x 1 x 0.5, 180 degrees/s, {duration:g} s",
         "stability of Euler's equations; rigid-ipc",
         Check("deviation of the axis", "deg", lambda s: wander(s[0]), at_most(0.5), labels=names),
         Check("time between flips about the middle axis", "s", flip_time, relative(2e-3), exact, labels=off),
@@ -185,8 +182,7 @@ def momentum_kept():
 
     names = tuple(f"{np.linalg.norm(spin):.3g} rad/s" for spin in spins)
     return case(
-        "V12",
-        "angular momentum of tumbling bodies over 10 000 steps",
+        "V12 angular momentum of tumbling bodies over 10 000 steps",
         "conservation",
         measured("error of |L|", "", change, absolute(1e-5)),
         measured("rotation of L", "rad", rotation_of_momentum, at_most(5e-5)),
@@ -218,8 +214,7 @@ def free_fall():
 
     rounding = "rounding of 1000 sums in float32, at most 1.2e-7 m each from 2 to 4 m, at most 6.6e-5 m in all"
     return case(
-        "V14",
-        "free fall and throw, 1 s",
+        "V14 free fall and throw, 1 s",
         "the sum of symplectic Euler steps",
         measured("height", "m", height, absolute(1e-5), lambda s: each(discrete)(s[:2]), rows=slice(4)),
         measured("position error", "m", off, at_most(1e-5), rows=slice(4)),

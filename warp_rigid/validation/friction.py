@@ -124,8 +124,7 @@ def sticks(duration):
         for one in inclines(20.0, 0.5, restitution=e, duration=duration, every=24)
     )
     return case(
-        "V22",
-        "block that sticks on an incline, 20 degrees, mu 0.5",
+        "V22 block that sticks on an incline, 20 degrees, mu 0.5",
         COULOMB,
         measured("slip", "m", lambda t: np.abs(along(t)).max(axis=0), at_most(1e-4)),
         measured("lift", "m", lambda t: np.abs(along(t, 1)).max(axis=0), at_most(1e-4)),
@@ -138,8 +137,7 @@ def sticks(duration):
 def creeps_not(duration):
     """Static friction holds without drift."""
     return case(
-        "V22",
-        f"creep on an incline, 25 degrees, mu 0.6, {duration:g} s",
+        f"V22 creep on an incline, 25 degrees, mu 0.6, {duration:g} s",
         COULOMB,
         measured("creep", "m", lambda t: np.abs(along(t)).max(axis=0), at_most(1e-4)),
         of=inclines(25.0, 0.6, duration=duration, every=24),
@@ -151,8 +149,7 @@ def slides():
     """Uniform acceleration."""
     distance = 0.5 * pull(30.0, 0.3)
     return case(
-        "V22",
-        "block that slides down an incline from rest, 30 degrees, mu 0.3",
+        "V22 block that slides down an incline from rest, 30 degrees, mu 0.3",
         COULOMB,
         measured("distance after 1 s", "m", lambda t: along(t)[-1], relative(5e-3), distance),
         of=inclines(30.0, 0.3, duration=1.0, every=4),
@@ -187,8 +184,7 @@ def stops():
     every = np.tile(time, 3)
     way = 0.5 * every * np.tile(start, 3)
     return case(
-        "V22",
-        "block that slides downhill and stops",
+        "V22 block that slides downhill and stops",
         COULOMB,
         measured("time to stop", "s", stop_time, relative(0.01), every),
         measured("distance to stop", "m", stop_distance, relative(0.01), way),
@@ -211,8 +207,7 @@ def authors_incline():
     slid = 0.5 * pull(20.0, 0.25, 9.8) * 2.0**2
     first_block = {"rows": [0], "labels": ("block 1",)}
     return case(
-        "V22",
-        "the 2003 authors' two blocks on an incline, 20 degrees, e 1",
+        "V22 the 2003 authors' two blocks on an incline, 20 degrees, e 1",
         "PhysBAM Sliding_Test, and Coulomb's law",
         measured("time to stop", "s", stop_time, relative(0.01), 1.25 / slowing, **first_block),
         measured("distance to stop", "m", stop_distance, relative(0.01), 1.25**2 / (2 * slowing), **first_block),
@@ -234,8 +229,7 @@ def incline_grid():
     experiment = block_on_incline(SLAB, degrees, friction, duration=1.0, every=24)
     moving, resting = (np.array(experiment.variants)[chosen].tolist() for chosen in (sliding, ~sliding))
     return case(
-        "V22",
-        "grid of 25 slopes and frictions, and 2 degrees from each friction angle",
+        "V22 grid of 25 slopes and frictions, and 2 degrees from each friction angle",
         COULOMB,
         measured("slides", "", lambda t: along(t)[-1] > 1e-4, OUTCOME, sliding),
         measured("distance after 1 s", "m", way, relative(5e-3), exact[sliding], sliding, labels=moving),
@@ -270,8 +264,7 @@ def stopping_distance():
     # With the step 1/240 the error of the third way is more than 1 %.
     coarse, fine = [0, 1, 4, 5, 6], [3, 7]
     return case(
-        "V23",
-        "stopping distance on level ground",
+        "V23 stopping distance on level ground",
         COULOMB,
         measured("sum of the steps to stop", "m", distance, absolute(2e-4), by_steps),
         measured("distance to stop", "m", distance, relative(0.01), exact[coarse], coarse),
@@ -301,8 +294,7 @@ def painleve():
         return moving[:, :, 0]
 
     return case(
-        "V32",
-        "rod whose tip drags at 1 m/s, 63.4 degrees: Painleve's paradox from mu 4/3 on",
+        "V32 rod whose tip drags at 1 m/s, 63.4 degrees: Painleve's paradox from mu 4/3 on",
         "Coulomb's law: no gain of energy, no reversal of the slip within a step",
         gain_of_energy(lambda t: t.work_free_energy, 1e-3),
         measured("speed of the tip backwards", "m/s", lambda t: -tip_speed(t).min(axis=0), at_most(G / 240)),
@@ -349,8 +341,7 @@ def trays():
         return measured("shortest way of a body", "m", shortest, relative(0.01), way, rows=rows, miss=miss)
 
     return case(
-        "V109",
-        "tray of boxes that slides, mu 0.5",
+        "V109 tray of boxes that slides, mu 0.5",
         COULOMB,
         check(slice(0, len(solved))),
         check(slice(len(solved), None), Miss(LIGHT_TRAY, 0.29)),

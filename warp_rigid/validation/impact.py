@@ -77,8 +77,7 @@ def bounce_heights():
     experiments = tuple(dropped_ball(restitution, 2.3, rate) for rate in RATES)
     exact = restitution**2
     return case(
-        "V17",
-        "bounces of a ball dropped from 1 m",
+        "V17 bounces of a ball dropped from 1 m",
         NEWTON,
         measured("first peak", "m", lambda t: peak(t, 1), relative(0.01), np.tile(exact, 3)),
         measured("second peak", "m", lambda t: peak(t, 2), relative(0.01), np.tile(exact**2, 3)),
@@ -107,8 +106,7 @@ def bounce_times():
 
     names, steps = ("second", "third", "fourth"), ("dt 1/120", "dt 1/240", "dt 1/480")
     return case(
-        "V17",
-        "times of the second to fourth contact, e 0.8",
+        "V17 times of the second to fourth contact, e 0.8",
         NEWTON,
         Check("contact time at dt 1/1000", "s", lambda s: contact_times(s[-1]), relative(5e-3), exact, labels=names),
         Check("error relative to that at twice the step", "", halving, at_most(0.0), 0.6, labels=steps),
@@ -125,8 +123,7 @@ def bounce_end(restitution):
         return [t.time[np.flatnonzero(np.abs(up) > 1e-3)[-1]] for up in climb(t).T]
 
     return case(
-        "V17",
-        "end of the bouncing, dt 1/1000",
+        "V17 end of the bouncing, dt 1/1000",
         NEWTON,
         measured("time of the last motion", "s", last, relative(0.02), total),
         measured("speed at the end", "m/s", lambda t: t.speed[-50:].max(axis=0), at_most(1e-3)),
@@ -145,8 +142,7 @@ def head_on():
     names = tuple(f"e {e:g}, from {2 * x - 1:.4g} m apart" for e, x in cells)
     starts = per_env("restitution", restitution), Start("position", place)
     return case(
-        "V17",
-        "head-on collision of two spheres at +-1 m/s",
+        "V17 head-on collision of two spheres at +-1 m/s",
         "Chrono's CorNormal; e = speed after over speed before",
         measured("speed after", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], absolute(1e-3), restitution),
         measured("momentum", "kg m/s", lambda t: t.momentum[-1, :, 0], absolute(1e-6)),
@@ -226,8 +222,7 @@ def cradle():
     # Elastic rows and touching rows have a unique result; with gaps and losses it depends on the order of impacts.
     sure = [row for row, (_, e, gap) in enumerate(rows) if e in (0.0, 1.0) or gap == 0.0]
     return case(
-        "V18",
-        "cradle of five balls",
+        "V18 cradle of five balls",
         "successive impacts of two balls at a time",
         every_ball(exact, sure),
         *row_checks(exact),
@@ -240,8 +235,7 @@ def chain():
     rows = [((1, 0, 0, 0), e, gap) for gap in GAPS for e in (1.0, 0.9)]
     experiment, exact = row_of_balls([1.0, 0.5, 0.25, 0.125], rows)
     return case(
-        "V18",
-        "chain of four balls, each half as heavy as the one before",
+        "V18 chain of four balls, each half as heavy as the one before",
         "successive impacts of two balls at a time",
         every_ball(exact, range(len(rows))),
         *row_checks(exact),
@@ -283,8 +277,7 @@ def superball():
         return np.abs(t.linear_velocity[-1, :, 1, 0] - 0.1 * t.angular_velocity[-1, :, 1, 1]) > 1e-5
 
     return case(
-        "V19",
-        "oblique impact of a spinning sphere on a plane",
+        "V19 oblique impact of a spinning sphere on a plane",
         "Garwin's superball, closed form",
         measured("normal velocity", "m/s", lambda t: t.linear_velocity[-1, :, 1, 2], relative(1e-4), exact[:, 0]),
         measured("tangential velocity", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], relative(1e-4), exact[:, 1]),
@@ -311,8 +304,7 @@ def eccentric():
         return np.abs(t.angular_velocity[-1, :, 1, 1])
 
     return case(
-        "V20",
-        "eccentric impact of a thin rod at 30 degrees, e 0.5",
+        "V20 eccentric impact of a thin rod at 30 degrees, e 0.5",
         "Newton's law of impact at the tip, closed form",
         measured("velocity", "m/s", lambda t: t.linear_velocity[-1, :, 1, 2], relative(1e-3), impulse - 1),
         measured("spin", "rad/s", spin_after, relative(1e-3), impulse * arm / inertia),
@@ -347,8 +339,7 @@ def random_impacts(count):
         return (t.mass * np.linalg.norm(t.linear_velocity[0], axis=2)).sum(axis=1)
 
     return case(
-        "V62",
-        "impacts of three boxes thrown at random, every restitution and friction",
+        "V62 impacts of three boxes thrown at random, every restitution and friction",
         "energy and momentum",
         gain_of_energy(lambda t: t.kinetic_energy, 1e-4),
         measured("relative gain of momentum", "", lambda t: drift(t) / scale(t), at_most(1e-5)),
@@ -385,8 +376,7 @@ def elastic(title, source, places, duration):
         return np.sqrt((off(t) ** 2).mean(axis=0))
 
     return case(
-        "V21",
-        title,
+        f"V21 {title}",
         source,
         measured("energy error, root mean square", "", root_mean_square, at_most(0.01)),
         measured("energy gained", "", lambda t: off(t).max(axis=0), at_most(0.01)),

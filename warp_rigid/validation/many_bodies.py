@@ -38,8 +38,7 @@ def heap(base=6):
     starts = per_env("friction", friction), per_env("rolling_friction", rolling)
     more = "increase of the height kept after 0.5 s over less friction"
     return case(
-        "V60",
-        f"heaps of {count} balls, 3 s from a square pyramid",
+        f"V60 heaps of {count} balls, 3 s from a square pyramid",
         "Zhou 2001 and 2002: order and trend",
         measured("height kept without friction", "", kept, at_most(0.05), rows=slice(1)),
         Check(more, "", increase, AT_LEAST, 0.02, labels=names[1:]),
@@ -76,8 +75,7 @@ def bins_of_boxes(count, bins, moves=None):
     label, names = (f"median of {bins} bins",), tuple(f"mu {mu:.3f}" for mu in friction)
     scene, starts = on_ground(cubes, friction=BIN_FRICTION), (per_env("friction", friction),)
     return case(
-        "V76",
-        f"{count} boxes in a bin at one step of 1/60 s per frame",
+        f"V76 {count} boxes in a bin at one step of 1/60 s per frame",
         "a heap of inelastic boxes comes to rest without overlap",
         Check("largest speed after 6 s", "m/s or rad/s", speed, at_most(BIN_RESTING), labels=label, miss=moves),
         Check("deepest overlap after 6 s", "m", overlap, at_most(2.5e-4), labels=label),

@@ -88,8 +88,7 @@ def polyhedra():
         return [np.abs(mesh.inertia - e).max() / np.abs(e).max() for mesh, e in zip(shapes, exact, strict=True)]
 
     return case(
-        "V01",
-        "mass properties of polyhedra",
+        "V01 mass properties of polyhedra",
         "closed forms and Steiner's rule; Mirtich 1996",
         Check("volume", "m^3", lambda s: [m.volume for m in s], relative(1e-6), [table[n][1] for n in names]),
         Check("error of the centre of mass", "m", center_error, at_most(1e-6)),
@@ -133,8 +132,7 @@ def torus():
     exact = torus_of_triangles(major, minor, 64, 32)
     steps = tuple(f"{name}, {a} to {b} segments" for a, b in zip(fine[:-1], fine[1:], strict=True) for name in names)
     return case(
-        "V02",
-        "mass properties of a torus of triangles, R 1, r 0.3",
+        "V02 mass properties of a torus of triangles, R 1, r 0.3",
         "closed forms of the polyhedron and of the torus",
         Check("64 x 32 mesh", "m^3 or m^5", lambda s: values(s[1]), relative(1e-6), exact, labels=names),
         Check("order of convergence", "", order, absolute(0.05), 2.0, labels=steps),
@@ -206,8 +204,7 @@ def sphere_distance(cells, count, frequency):
 
     names, fine = [f"{n} cells" for n in cells], cells.index(FINE)
     return case(
-        "V05",
-        "distance grid of a sphere, R 0.5",
+        "V05 distance grid of a sphere, R 0.5",
         "bound of trilinear interpolation, h^2 / (4 r), and the mesh's sag",
         Check("largest error within 3 cells", "m", lambda s: s[:, 0], at_most(0.0), lambda s: s[:, 1]),
         Check("largest error of the normals of contacts, h = R / 32", "deg", turn, at_most(1.0), labels=[names[fine]]),
@@ -238,8 +235,7 @@ def box_distance(cells, count):
 
     names = tuple(f"{n} cells" for n in cells)
     return case(
-        "V05",
-        "distance grid of a box, half extents 0.5, 0.3, 0.2",
+        "V05 distance grid of a box, half extents 0.5, 0.3, 0.2",
         "closed form; first order at edges",
         Check("largest error where one face is nearest", "m", lambda s: s[:, 0], at_most(2e-6)),
         Check("largest error outside", "cells", lambda s: s[:, 1], at_most(0.3)),
@@ -289,8 +285,7 @@ def eikonal(count):
         return Check(quantity, "", lambda s: [s[name][which] for name in names], AT_LEAST, 0.95, labels=tuple(names))
 
     return case(
-        "V06",
-        "gradient of distances to meshes",
+        "V06 gradient of distances to meshes",
         "eikonal equation",
         check("share of gradients of grids of length 1 +- 0.05 within 3 cells", smooth, 0),
         check("share of slopes of contacts of 1 +- 0.05 within a cell", both, 1),
@@ -320,8 +315,7 @@ def signs(count):
 
     rules = tuple(f"{name}, {rule}" for name in sharp for rule in ("pseudonormals", "winding number"))
     return case(
-        "V07",
-        f"sign at sharp features, {count} points around each mesh",
+        f"V07 sign at sharp features, {count} points around each mesh",
         "winding number in float64; Baerentzen and Aanaes 2005",
         Check("points with the wrong sign", "", np.asarray, absolute(0.0)),
         compute=lambda device: [wrong(*sharp[name], simple, device) for name in sharp for simple in (True, False)],
@@ -358,8 +352,7 @@ def coverage(count):
         return np.linalg.norm(arm - along[:, :, None] * slide, axis=2).min(axis=1)
 
     return case(
-        "V09",
-        "samples of mesh surfaces",
+        "V09 samples of mesh surfaces",
         "the stated spacing, a sixteenth of the longest side",
         Check(
             "largest distance of a surface point from a sample, over the spacing", "", np.asarray, at_most(1e-6), 1.0

@@ -57,8 +57,7 @@ def sliding_tips():
         return Experiment(on_ground(tip, gravity=NO_GRAVITY, friction=0.0), 1.0, dt=0.01, label=name)
 
     return case(
-        "V49",
-        "spike and wedge that slide on their tip, 10 m/s, no gravity",
+        "V49 spike and wedge that slide on their tip, 10 m/s, no gravity",
         ERLEBEN,
         measured("distance in 1 s", "m", lambda t: t.position[-1, :, 1, 0], absolute(1e-4), 10.0),
         measured("turn", "rad/s", lambda t: np.abs(t.angular_velocity[-1, :, 1]).max(axis=1), at_most(1e-4)),
@@ -79,8 +78,7 @@ def tips_on_tips():
         return Experiment(scene, 1.25, dt=0.01, label=name, watch_overlap=True)
 
     return case(
-        "V49",
-        "spikes and wedges dropped tip on tip, 1.25 s",
+        "V49 spikes and wedges dropped tip on tip, 1.25 s",
         ERLEBEN,
         measured("deepest overlap, 1 % of the width allowed", "m", lambda t: t.overlap.max(axis=0), at_most(0.01)),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(0.0), 20.0),
@@ -108,8 +106,7 @@ def internal_edges(duration):
         return Experiment(scene, duration, label=name, every=2)
 
     return case(
-        "V49",
-        "cube dropped on a slab with interior edges, and flush with its rim",
+        "V49 cube dropped on a slab with interior edges, and flush with its rim",
         ERLEBEN,
         measured("height error at the end", "m", rest_height, absolute(1e-3)),
         measured("drift", "m", lambda t: np.abs(t.position[-1, :, 1, :2]).max(axis=1), at_most(1e-3)),
@@ -163,8 +160,7 @@ def push_out():
         return measured("overlap after 0.5 s", "m", lambda t: t.overlap[-1], at_most(4e-5), rows=rows)
 
     return case(
-        "V63",
-        "bodies that start with overlap",
+        "V63 bodies that start with overlap",
         "they separate within 0.5 s and are at rest",
         measured("overlap at the start", "m", lambda t: t.overlap[0], AT_LEAST, 0.005, rows=slice(count)),
         check(0, count),
@@ -196,8 +192,7 @@ def random_overlaps(count):
         return [(s[0].overlap[-1, begun] < PARTED).mean()]
 
     return case(
-        "V63",
-        f"{count} random pairs of boxes, those that start with an overlap of 1 to 20 mm",
+        f"V63 {count} random pairs of boxes, those that start with an overlap of 1 to 20 mm",
         "they separate within 0.5 s",
         Check("share of separated pairs", "", parted, AT_LEAST, 1.0, labels=("all",)),
         measured("speed after 0.5 s", "m/s or rad/s", lambda t: t.speed[-1], at_most(1e-5)),
@@ -242,8 +237,7 @@ def bypass(dt):
     names = tuple(f"{name}, phase {phase}/{phases}" for name, phase in cells)
     above, struck, beside = slice(2 * phases), slice(2 * phases, 3 * phases), slice(3 * phases, None)
     return case(
-        "V56",
-        f"square 0.2 m deep at 75 m/s against a bar 0.1 m thick, dt 1/{1 / dt:.3g}",
+        f"V56 square 0.2 m deep at 75 m/s against a bar 0.1 m thick, dt 1/{1 / dt:.3g}",
         "rigid-ipc bypass, extruded; eccentric impact of a plate",
         measured("goes through the bar", "", passed, OUTCOME, rows=above),
         measured(after, "m/s", downwards, relative(0.01), kept * speed, struck, miss=miss),

@@ -125,7 +125,7 @@ def pendulums(duration: float, rates: tuple[int, ...]) -> ValidationCase:
         for rows, tolerance in groups
     ]
     source = "arithmetic-geometric mean; conservation of energy"
-    return case("V102", "Pendulums", source, *checks, *_kept(experiments), of=experiments)
+    return case("V102 Pendulums", source, *checks, *_kept(experiments), of=experiments)
 
 
 def mechanisms(duration: float, rates: tuple[int, ...], links: int) -> ValidationCase:
@@ -144,7 +144,7 @@ def mechanisms(duration: float, rates: tuple[int, ...], links: int) -> Validatio
         for rate in rates
     )
     title = f"Double pendulum, chains of up to {links}, closed loops"
-    return case("V102", title, "conservation of energy", *_kept(experiments), of=experiments)
+    return case(f"V102 {title}", "conservation of energy", *_kept(experiments), of=experiments)
 
 
 def _time(duration: float, rate: int) -> float:

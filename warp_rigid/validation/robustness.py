@@ -67,8 +67,7 @@ def rocking() -> ValidationCase:
     b, h, _ = np.array(BLOCKS).T
     exact, miss = (1.0 - 1.5 * np.sin(np.arctan2(b, h)) ** 2) ** 2, Miss(FIRST_ORDER, 0.2)
     return case(
-        "V106",
-        "rocking block",
+        "V106 rocking block",
         "integral of the equation of motion; Housner 1963, The behavior of inverted pendulum structures",
         measured("quarter of the period", "s", quarter, relative(0.01), [fall_time(*block) for block in BLOCKS]),
         measured("energy kept by the first impact", "", kept, relative(0.03), exact, miss=miss),
@@ -106,8 +105,7 @@ def escaped(seeds: Sequence[int], dt: float, device: str, most: int = MOST_IN_RO
 def closed_rooms(count: int, steps: tuple[float, ...]) -> ValidationCase:
     """Random closed rooms: no body leaves one."""
     return case(
-        "V107",
-        f"{count} random closed rooms with up to {MOST_IN_ROOM} fast bodies, {ROOM_TIME:g} s",
+        f"V107 {count} random closed rooms with up to {MOST_IN_ROOM} fast bodies, {ROOM_TIME:g} s",
         "what is in a closed room stays inside",
         Check("rooms that a body leaves", "", lambda found: found, at_most(0.0)),
         compute=lambda device: [escaped(range(count), dt, device) for dt in steps],
@@ -140,8 +138,7 @@ def differences(name: str, device: str) -> int:
 def same_again(names: list[str]) -> ValidationCase:
     """Every built-in scene ends with the same bits after a reset, and after it was stored and loaded."""
     return case(
-        "V105",
-        "built-in scenes after a reset, and after save and load",
+        "V105 built-in scenes after a reset, and after save and load",
         "a fresh start, an uninterrupted run",
         Check("quantities whose bits differ", "", lambda found: found, at_most(0.0)),
         compute=lambda device: [differences(name, device) for name in names],

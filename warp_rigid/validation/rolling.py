@@ -78,8 +78,7 @@ def slide_to_roll():
     time = 2 * v0 / (7 * mu * G)
     distance = v0 * time - 0.5 * mu * G * time**2
     return case(
-        "V24",
-        "ball that slides until it rolls, v0 5 m/s, mu 0.2",
+        "V24 ball that slides until it rolls, v0 5 m/s, mu 0.2",
         COULOMB,
         measured("time until it rolls", "s", rolling_time, relative(5e-3), time),
         measured("distance until it rolls", "m", rolling_distance, relative(5e-3), distance),
@@ -94,8 +93,7 @@ def backspin():
     v0, mu = 2.0, 0.2
     time = v0 / (mu * G)
     return case(
-        "V24",
-        "ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops",
+        "V24 ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops",
         COULOMB,
         measured("time to stop", "s", stop_time, relative(5e-3), time),
         measured("distance to stop", "m", lambda t: forward(t)[-1], relative(5e-3), 0.5 * v0 * time),
@@ -123,8 +121,7 @@ def rolling_race():
         slipping = G * (np.sin(slope) - shares * needed * np.cos(slope))
         ways.append(0.5 * np.where(shares < 1.0, slipping, G * np.sin(slope) / (1 + inertia)))
     return case(
-        "V25",
-        "rolling race down 30 degrees",
+        "V25 rolling race down 30 degrees",
         "a = g sin / (1 + k), or g (sin - mu cos) where it slips",
         measured("distance after 1 s", "m", lambda t: forward(t)[-1], relative(0.01), np.concatenate(ways)),
         of=tuple(experiments),
@@ -139,8 +136,7 @@ def authors_rolling():
     names = tuple(f"{angle:g} deg" for angle in degrees)
     starts = Start("gravity", [downhill(angle) for angle in degrees]), Start("friction", 1e4)
     return case(
-        "V25",
-        "sphere without slip on ten inclines from 4.5 to 45 degrees",
+        "V25 sphere without slip on ten inclines from 4.5 to 45 degrees",
         "PhysBAM sphere on an incline: (5/14) g t^2 sin^2",
         measured("height lost in 1 s", "m", lambda t: forward(t)[-1] * sine, relative(0.01), 5 / 14 * G * sine**2),
         of=ball(duration=1.0, variants=names, starts=starts, every=4),
@@ -153,8 +149,7 @@ def rolling_friction():
     radius, c = 0.5, 0.01
     slowing = c * G / (1.4 * radius)
     return case(
-        "V29",
-        "rolling friction, R 0.5 m, c 0.01 m, from 1 m/s, over five powers of ten of mass",
+        "V29 rolling friction, R 0.5 m, c 0.01 m, from 1 m/s, over five powers of ten of mass",
         "torque = c N, closed form",
         measured("time to stop", "s", stop_time, relative(0.02), 1 / slowing),
         measured("distance to stop", "m", stop_distance, relative(0.02), 0.5 / slowing),
@@ -178,8 +173,7 @@ def rolling_friction_holds():
     names = tuple(f"tan = {share:g} c / R" for share in shares)
     starts = Start("gravity", slopes), Start("friction", 0.5), Start("rolling_friction", 0.01)
     return case(
-        "V29",
-        "rolling friction on a slope, R 0.5 m, c 0.01 m",
+        "V29 rolling friction on a slope, R 0.5 m, c 0.01 m",
         "rolls above tan = c / R",
         measured("rolls", "", lambda t: forward(t)[-1] > 1e-3, OUTCOME, shares > 1.0),
         of=ball(0.5, duration=2.0, variants=names, starts=starts, every=24),
@@ -191,8 +185,7 @@ def spinning_friction():
     radius, c, spin = 0.5, 0.01, 10.0
     time = spin / (c * G / (0.4 * radius**2))
     return case(
-        "V30",
-        "spinning friction, R 0.5 m, c 0.01 m, from 10 rad/s, over five powers of ten of mass",
+        "V30 spinning friction, R 0.5 m, c 0.01 m, from 10 rad/s, over five powers of ten of mass",
         "torque = c N, closed form",
         measured("time to stop", "s", stop_time, relative(0.02), time),
         measured("drift", "m", lambda t: t.displacement[-1], at_most(1e-4)),
@@ -230,8 +223,7 @@ def force_direction(duration):
     names = tuple(f"{angle:g} deg to x" for angle in angles)
     starts = (Start("force", (force * heading)[:, None], bodies=[1]),)
     return case(
-        "V33",
-        "box with 25 balls dragged in four directions by 1.09 of its friction",
+        "V33 box with 25 balls dragged in four directions by 1.09 of its friction",
         "SimBenchmark rolling; a = (F - mu N) / (M + 2 m n / 7)",
         measured("acceleration of the box", "m/s^2", acceleration, relative(0.01), box_rate),
         measured("mean squared error of the speeds", "m^2/s^2", deviation, at_most(1e-4)),

@@ -119,8 +119,7 @@ def rings(counts):
         return Compound([(Sphere(FOOT_RADIUS), place, (0, 0, 0, 1)) for place in ring_feet(count)])
 
     return case(
-        "V75",
-        "ring of feet that slides and spins, mu 0.3",
+        "V75 ring of feet that slides and spins, mu 0.3",
         "equations of motion with the loads of statics; Farkas 2003",
         *stop_checks(*((ring_feet(n), FOOT_RADIUS, RING_RADIUS) for n in counts)),
         of=tuple(slide(ring(n), FOOT_RADIUS, f"{n} feet") for n in counts),
@@ -133,8 +132,7 @@ def box_on_four_corners():
     corners = np.array([(x, y, 0.0) for x in (-BOX_HALF[0], BOX_HALF[0]) for y in (-BOX_HALF[1], BOX_HALF[1])])
     gyration = np.sqrt((BOX_HALF[0] ** 2 + BOX_HALF[1] ** 2) / 3.0)
     return case(
-        "V75",
-        "box on its four corners that slides and spins, mu 0.3",
+        "V75 box on its four corners that slides and spins, mu 0.3",
         "equations of motion with the loads of statics",
         *stop_checks((corners, BOX_HALF[2], gyration)),
         of=slide(Box(BOX_HALF), BOX_HALF[2], ""),

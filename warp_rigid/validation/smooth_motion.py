@@ -38,8 +38,7 @@ def rolling(steps) -> ValidationCase:
         for dt in steps
     )
     return case(
-        "V100",
-        "ball that rolls over the triangles of flat ground",
+        "V100 ball that rolls over the triangles of flat ground",
         "free motion, closed form",
         measured("speed after 1.5 s", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], absolute(1e-3 * SPEED), SPEED),
         measured("error of the height", "m", lambda t: np.abs(t.position[:, :, 1, 2] - RADIUS).max(0), at_most(1e-4)),
@@ -65,8 +64,7 @@ def flush_landing() -> ValidationCase:
 
     bounces = [bounce(overhang, friction) for overhang in (2.0, 5.0, 10.0) for friction in (0.0, 0.5)]
     return case(
-        "V101",
-        "box that lands flush on an equal or wider box, or bounces on a narrower one",
+        "V101 box that lands flush on an equal or wider box, or bounces on a narrower one",
         "symmetry",
         measured("largest spin", "rad/s", lambda t: np.abs(t.angular_velocity[:, :, 1]).max((0, 2)), at_most(1e-4)),
         measured("drift", "m", lambda t: np.abs(t.position[-1, :, 1, :2]).max(1), at_most(1e-4)),
@@ -92,8 +90,7 @@ def turntable(steps, duration: float) -> ValidationCase:
         return np.abs(radius - np.array(PLACES)).max((0, 2))
 
     return case(
-        "V110",
-        "boxes on a turntable, below their friction limit",
+        "V110 boxes on a turntable, below their friction limit",
         "circular motion, closed form",
         measured("largest change of the radius", "m", creep, at_most(1e-4)),
         of=tuple(Experiment(scene, duration=duration, dt=dt, label=f"dt 1/{1 / dt:.0f}") for dt in steps),

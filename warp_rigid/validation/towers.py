@@ -116,8 +116,7 @@ def heavy_on_light(duration):
         return t.position[0, :, 2, 2] - t.position[-1, :, 2, 2]
 
     return case(
-        "V35",
-        "heavy cube on a light one, 1 m, dt 1/60",
+        "V35 heavy cube on a light one, 1 m, dt 1/60",
         f"{STATICS}; other engines: 2 to 98 mm at 1000 : 1",
         measured("height lost by the top", "m", top, at_most(5e-4), rows=kept),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3), rows=kept),
@@ -131,8 +130,7 @@ def heavy_dropped_on_light(duration):
     """A cube of 1 m falls by 0.1 m, and a cube of 10 m with 1000 times its mass falls on it."""
     scene = on_ground(body(Box((0.5,) * 3), position=(0, 0, 0.6)), body(Box((5.0,) * 3), position=(0, 0, 6.5)))
     return case(
-        "V35",
-        "cube of 10 m dropped on one of 1 m, 1000 : 1, dt 1/100",
+        "V35 cube of 10 m dropped on one of 1 m, 1000 : 1, dt 1/100",
         "statics; rigid-ipc large-mass-ratio",
         measured("height of the top cube", "m", lambda t: t.position[-1, :, 2, 2], absolute(5e-4), 6.0),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
@@ -151,8 +149,7 @@ def column(counts, duration):
     starts = (per_env("restitution", [0.0, 0.5]),)
     weight = np.repeat([count * 1000.0 * G for count in counts], 2)
     return case(
-        "V37",
-        "column of unit cubes",
+        "V37 column of unit cubes",
         f"{STATICS}; other engines sink by 0.5 to 58 mm",
         measured("force on the ground", "N", load_on_ground, relative(1e-3), weight),
         measured("sink", "m", sink, at_most(OWN)),
@@ -165,8 +162,7 @@ def column(counts, duration):
 def tall_stack(count, duration):
     """Fifty cubes of 0.2 m."""
     return case(
-        "V37",
-        f"straight stack of {count} cubes of 0.2 m, {duration:g} s",
+        f"V37 straight stack of {count} cubes of 0.2 m, {duration:g} s",
         STATICS,
         measured("drift", "m", drift, at_most(OWN)),
         measured("sink", "m", sink, at_most(OWN)),
@@ -181,8 +177,7 @@ def spheres(duration):
     """Five spheres of radius 1 m on top of one another: an unstable equilibrium that symmetry preserves."""
     scene = on_ground(lambda made: stacks.add_stack(made, 5, Sphere(1.0)))
     return case(
-        "V37",
-        "column of five spheres, R 1",
+        "V37 column of five spheres, R 1",
         "Chrono's SMC stacking",
         measured("drift from the axis", "m", drift, at_most(1e-6)),
         measured("sink", "m", sink, at_most(OWN)),
@@ -261,8 +256,7 @@ def leaning_towers(duration):
         return measured("displacement of standing towers", "m", farthest, at_most(limit), rows=rows)
 
     return case(
-        "V61",
-        "leaning towers of ten cubes",
+        "V61 leaning towers of ten cubes",
         "statics: whether the centre of mass above each joint lies over the joint",
         *(falls(way) for way in WAYS if way != "off"),
         # Without shock propagation, whether a tower that leans so far falls hangs on rounding.
@@ -316,8 +310,7 @@ def toppling(directions: int):
 
     labels = [f"{name}, {np.degrees(a):.1f} deg" for name in solids for a in angle]
     return case(
-        "V103",
-        "toppling of cylinders and prisms",
+        "V103 toppling of cylinders and prisms",
         "statics: the weight points to the edge of the base",
         Check("largest slope at which it stands, over that of statics", "", limits, relative(0.005), 1.0, labels),
         of=[experiment(name) for name in solids],
@@ -328,8 +321,7 @@ def pyramid(rows, duration):
     """A pyramid stays in place, at rest, without a gain of energy."""
     count = rows * (rows + 1) // 2
     return case(
-        "V43",
-        f"pyramid of {rows} rows, {count} cubes of 0.2 m, {duration:g} s",
+        f"V43 pyramid of {rows} rows, {count} cubes of 0.2 m, {duration:g} s",
         STATICS,
         measured("largest displacement", "m", farthest, at_most(OWN)),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
@@ -375,8 +367,7 @@ def falling_towers(duration):
     offsets = [offset for offset in (0.15, 0.25, 0.4) for _ in range(2)]
     experiment = leaning(offsets, ["default", "two_pass, cold"] * 3, duration)
     return case(
-        "V62",
-        "energy of falling towers of ten cubes",
+        "V62 energy of falling towers of ten cubes",
         "conservation",
         *energy_checks([0, 2, 4], [1, 3, 5]),
         of=experiment,
@@ -413,8 +404,7 @@ def falling_piles(duration, count):
         return np.ptp(t.position[-120:], axis=0).max(axis=(1, 2))
 
     return case(
-        "V62",
-        f"piles of {count} boxes and balls that fall into a box",
+        f"V62 piles of {count} boxes and balls that fall into a box",
         "conservation; a pile comes to rest",
         # A body that is hit is stopped at its time of impact, but gravity acts for the whole step: 5e-5.
         *energy_checks(warm, [12], 4e-6, 1e-4),
@@ -438,8 +428,7 @@ def card_house(levels, duration):
         return (1 - t.position[-1][:, t.dynamic, 2] / t.position[0][:, t.dynamic, 2]).max(axis=1)
 
     return case(
-        "V39",
-        f"card house of {levels} storeys, 65 degrees, thickness 0.02 of the length",
+        f"V39 card house of {levels} storeys, 65 degrees, thickness 0.02 of the length",
         "rigid-ipc and box3d: no card drops by 5 % of its height in 2 s",
         measured("largest drop relative to the height", "", dropped, at_most(0.05)),
         of=Experiment(card_house_scene(levels), duration, every=4),
@@ -451,8 +440,7 @@ def beams(duration):
     """Thirty crossed layers of two beams."""
     layers = partial(stacks.add_crossed_layers, layers=30, rolling_friction=0.05)
     return case(
-        "V45",
-        "tower of thirty crossed layers of two beams, 10 s",
+        "V45 tower of thirty crossed layers of two beams, 10 s",
         "box3d: the tower stands",
         measured("largest displacement", "m", farthest, at_most(0.01)),
         of=Experiment(on_ground(layers, rolling_friction=0.05), duration, every=24),
@@ -473,8 +461,7 @@ def balls_that_spread(duration):
         return [np.mean(sums)]
 
     return case(
-        "V44",
-        "216 frictionless balls that collapse, 10 s, dt 1/1000",
+        "V44 216 frictionless balls that collapse, 10 s, dt 1/1000",
         "SimBenchmark 666; other engines: 1.35e-4 to 0.38 m^2",
         measured("sum of squared overlaps, mean over time", "m^2", squares, at_most(1e-3)),
         of=Experiment(on_ground(balls, friction=0.0), duration, dt=1e-3, every=20),

@@ -81,8 +81,7 @@ def vessels(kinds, shares, bodies, count=6):
         return (np.abs(place[..., :2]).max(axis=(0, 2)) > 0.5 * SIZE) | (place[..., 2].min(axis=0) < 0.0)
 
     return case(
-        "V72",
-        "bodies dropped into vessels with walls of a share of the width",
+        "V72 bodies dropped into vessels with walls of a share of the width",
         "what is inside a closed wall stays inside",
         measured("outside at any time", "", outside, at_most(0.0)),
         *(
@@ -125,8 +124,7 @@ def plates():
         watch_overlap=True,
     )
     return case(
-        "V72",
-        "a plate of 1 mm thrown onto another, as meshes",
+        "V72 a plate of 1 mm thrown onto another, as meshes",
         "solids do not pass through each other",
         measured("passed", "", lambda t: t.position[:, :, 1, 2].min(axis=0) < 0.0, at_most(0.0)),
         measured("deepest overlap at any time", "m", deepest, at_most(DEEPEST)),
@@ -200,8 +198,7 @@ def unions(names, strata=STRATA):
         return mesh.volume, volume, np.abs(mesh.inertia - inertia).max() / np.abs(inertia).max(), wrong.sum()
 
     return case(
-        "V73",
-        "meshes of closed shells that overlap",
+        "V73 meshes of closed shells that overlap",
         "stratified points inside any of the shells, half-space tests in float64",
         Check("volume", "m^3", lambda s: [row[0] for row in s], relative(0.01), lambda s: [row[1] for row in s]),
         Check("inertia error relative to the largest entry", "", lambda s: [row[2] for row in s], at_most(0.01)),
