@@ -63,6 +63,7 @@ def main(arguments=None):
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
     options = parser.parse_args(arguments)
 
+    name = "repose_shapes" if options.shapes else "repose"
     result = wr.sweep(
         column,
         {"shape": list(SHAPES)} if options.shapes else {"friction": np.linspace(0.0, 1.0, options.size)},
@@ -70,11 +71,10 @@ def main(arguments=None):
         repeats=3,
         duration=options.duration,
         metrics=[slope, "deepest_overlap", "kinetic_energy"],
-        output=options.out / ("repose_shapes.parquet" if options.shapes else "repose.parquet"),
+        output=options.out / f"{name}.parquet",
         resume=True,
     )
     (axis,) = result.axes
-    name = "repose" if axis == "friction" else "repose_shapes"
     result.plot(options.out / f"{name}.png", x=axis, y="slope")
     for row in result.rows:
         print(f"{axis} {row[axis]}, seed {row['seed']}: {row['slope']:.1f} degrees")

@@ -62,12 +62,7 @@ def exact_solids() -> dict[str, tuple[tuple, float, np.ndarray, np.ndarray]]:
     vertices, faces = solids.cube()
     shift = np.array([0.5, 1.0, 1.5])
     return {
-        "corner tetrahedron": (
-            solids.tetrahedron([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]),
-            1 / 6,
-            np.full(3, 0.25),
-            corner,
-        ),
+        "corner tetrahedron": (solids.tetrahedron([(0, 0, 0), *np.eye(3)]), 1 / 6, np.full(3, 0.25), corner),
         "regular tetrahedron": (solids.tetrahedron(high), regular, np.zeros(3), regular / 20 * np.eye(3)),
         "box 1 x 2 x 3": ((vertices * [1, 2, 3] + shift, faces), 6.0, shift, box_moments((1, 2, 3), 6.0)),
         "hollow cube": (solids.hollow_cube(), 1 - 0.8**3, np.zeros(3), hollow),

@@ -103,7 +103,6 @@ def plates():
     tilts = np.array([[0, 0, 0], [0.01, 0, 0], [0.02, 0.01, 0.3], [0.05, -0.05, 0.8]])
     orientations = np.column_stack([tilts, np.ones(4)])
     orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
-    cells = [(speed, orientation) for speed in speeds for orientation in orientations]
 
     def scene():
         plate = Mesh.from_trimesh(trimesh.creation.box((SIZE, SIZE, PLATE)))
@@ -112,23 +111,18 @@ def plates():
         made.add_body(plate, position=(0.03, -0.02, 0.05))
         return made
 
-    velocity = np.array([[(0.0, 0.0, -speed)] for speed, _ in cells])
-    experiment = Experiment(
-        scene,
-        0.5,
-        tuple(f"{speed:g} m/s, tilt {k}" for speed in speeds for k in range(len(orientations))),
-        (
-            Start("orientation", np.array([orientation for _, orientation in cells])[:, None], bodies=[1]),
-            Start("linear_velocity", velocity, bodies=[1]),
-        ),
-        watch_overlap=True,
+    names = tuple(f"{speed:g} m/s, tilt {k}" for speed in speeds for k in range(len(orientations)))
+    velocity = np.array([[(0.0, 0.0, -speed)] for speed in speeds for _ in orientations])
+    starts = (
+        Start("orientation", np.tile(orientations, (len(speeds), 1))[:, None], bodies=[1]),
+        Start("linear_velocity", velocity, bodies=[1]),
     )
     return case(
         "V72 a plate of 1 mm thrown onto another, as meshes",
         "solids do not pass through each other",
         measured("passed", "", lambda t: t.position[:, :, 1, 2].min(axis=0) < 0.0, at_most(0.0)),
         measured("deepest overlap at any time", "m", deepest, at_most(DEEPEST)),
-        of=experiment,
+        of=Experiment(scene, 0.5, names, starts, watch_overlap=True),
     )
 
 
