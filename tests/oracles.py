@@ -9,7 +9,8 @@ from warp_rigid import rotations
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes import Box, Plane, Sphere
-from warp_rigid.scenes.builders import grounds
+from warp_rigid.scenes.builders import grounds, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene as ground_scene
 
 GROUND = Plane(normal=(0, 0, 1), offset=0.0)
@@ -234,3 +235,12 @@ def random_pile(generator, count=24, friction=0.6):
 def moving(scene):
     """Which bodies of a scene are dynamic."""
     return np.array([body.motion == Motion.DYNAMIC for body in scene.bodies])
+
+
+def add_uneven_stack(scene, count, shape=stacks.CUBE, x=0.0, gap=0.0, zigzag=0.0, twist=0.0, **coefficients):
+    """A stack whose bodies are offset by +-`zigzag` along x in turn, and turned by `twist` to the one below [rad]."""
+    positions = stacks.column(count, shape, gap=gap) + [x, 0.0, 0.0]
+    positions[:, 0] += zigzag * np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
+    angle = 0.5 * twist * np.arange(count)
+    orientations = np.stack([0.0 * angle, 0.0 * angle, np.sin(angle), np.cos(angle)], axis=1)
+    return add_bodies(scene, shape, positions, orientations, **coefficients)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
+from tests.oracles import add_uneven_stack
 from warp_rigid.scenes.builders import stacks
 from warp_rigid.scenes.builders.grounds import level_scene
 
@@ -32,7 +33,7 @@ def sliding():
 def stack():
     """Five boxes, each rotated by 0.2 rad relative to the one below."""
     scene = level_scene()
-    stacks.add_stack(scene, 5, twist=0.2)
+    add_uneven_stack(scene, 5, twist=0.2)
     return scene
 
 

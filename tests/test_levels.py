@@ -5,7 +5,17 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.oracles import GROUND, find_contacts, ground_scene, moving, opened, pair_list, random_pile, stages_of
+from tests.oracles import (
+    GROUND,
+    add_uneven_stack,
+    find_contacts,
+    ground_scene,
+    moving,
+    opened,
+    pair_list,
+    random_pile,
+    stages_of,
+)
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels import declare, schema
@@ -255,7 +265,7 @@ def test_a_tilted_tower_still_rests_on_its_base(device):
     """On an incline the weight is not along the normals; the order is the same."""
     scene = Scene(gravity=(9.81 * np.sin(np.radians(30)), 0, -9.81 * np.cos(np.radians(30))))
     scene.add_static(GROUND)
-    stacks.add_stack(scene, 3, twist=np.radians(20))
+    add_uneven_stack(scene, 3, twist=np.radians(20))
     edges, level = support_of(scene, device)
     assert edges == {(1, 0), (2, 1), (3, 2)}
     assert level == [0, 1, 2, 3]

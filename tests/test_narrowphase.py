@@ -6,6 +6,7 @@ import pytest
 from tests.geometry_oracles import cube
 from tests.oracles import (
     GROUND,
+    add_uneven_stack,
     clip_polygon,
     contact_list,
     distance_outside,
@@ -24,7 +25,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels.tuning import CONTACT_DISTANCE
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
-from warp_rigid.scenes.builders import assortment, meshes, stacks
+from warp_rigid.scenes.builders import assortment, meshes
 
 
 def touch(device, lower, upper, settings=None, **pose):
@@ -319,7 +320,7 @@ def test_thinning_keeps_the_hull_of_a_flat_face(device):
 
 def test_identities_persist_in_a_resting_stack(device):
     scene = ground_scene()
-    stacks.add_stack(scene, 4, Box((0.1, 0.12, 0.1)), zigzag=0.01, twist=np.radians(7))
+    add_uneven_stack(scene, 4, Box((0.1, 0.12, 0.1)), zigzag=0.01, twist=np.radians(7))
     sim, stages = opened(scene, device)
     sim.step(60)
     searched = []

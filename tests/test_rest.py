@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.oracles import ground_scene, random_quaternion, rotate_about, stages_of
+from tests.oracles import add_uneven_stack, ground_scene, random_quaternion, rotate_about, stages_of
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.runner import execute, find_scene, plan_run
@@ -365,7 +365,7 @@ def test_a_sleeping_pile_costs_less_than_a_tenth(device):
     """
     scene = ground_scene(friction=0.5)
     for x in np.arange(48.0) * 0.5:
-        stacks.add_stack(scene, 8, x=x, gap=0.01, twist=np.radians(7))
+        add_uneven_stack(scene, 8, x=x, gap=0.01, twist=np.radians(7))
     sim = sleeping_sim(scene, device, 0.02)
     awake = seconds(sim, 60)
     searched, solved = work(sim)

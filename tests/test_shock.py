@@ -5,6 +5,7 @@ import pytest
 
 from tests.oracles import (
     ContactProblem,
+    add_uneven_stack,
     contact_list,
     find_contacts,
     ground_scene,
@@ -230,7 +231,7 @@ def test_modes_differ_between_the_environments_of_a_batch(device):
 def test_a_stack_of_a_hundred_stands(device):
     """Boxes set down 2 mm to the left and right in turn: weight has to find its way through all at each step."""
     scene = ground_scene(friction=0.6)
-    stacks.add_stack(scene, 100, zigzag=0.002, friction=0.6)
+    add_uneven_stack(scene, 100, zigzag=0.002, friction=0.6)
     sim, _ = opened(scene, device)
     before = sim.get("position")
     sim.step(240)

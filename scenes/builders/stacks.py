@@ -19,9 +19,7 @@ BRICK_GAP = 0.0003
 """Half of the smallest distance between bricks of the same layer of a tower [m]."""
 
 
-def column(
-    count: int, shape: Shape = CUBE, *, bottom: float = 0.0, gap: float = 0.0, lean: float = 0.0, zigzag: float = 0.0
-) -> np.ndarray:
+def column(count: int, shape: Shape = CUBE, *, bottom: float = 0.0, gap: float = 0.0, lean: float = 0.0) -> np.ndarray:
     """Positions of equal bodies on top of one another, lowest first, (count, 3) [m].
 
     Args:
@@ -30,13 +28,11 @@ def column(
         bottom: height of the support [m].
         gap: vertical distance below every body [m].
         lean: offset of every body along x from the one below [m].
-        zigzag: offset along x, positive and negative alternately [m].
     """
     half = shape.bounds[1][2]
     level = np.arange(count)
-    x = lean * level + zigzag * np.where(level % 2 == 0, 1.0, -1.0)
     z = bottom + half + gap + level * (2.0 * half + gap)
-    return np.stack([x, np.zeros(count), z], axis=1)
+    return np.stack([lean * level, np.zeros(count), z], axis=1)
 
 
 def add_stack(
@@ -48,8 +44,6 @@ def add_stack(
     bottom: float = 0.0,
     gap: float = 0.0,
     lean: float = 0.0,
-    zigzag: float = 0.0,
-    twist: float = 0.0,
     names: str | None = None,
     **coefficients: Any,
 ) -> list[int]:
@@ -63,18 +57,14 @@ def add_stack(
         bottom: height of the support [m].
         gap: vertical distance below every body [m].
         lean: offset of every body along x from the one below [m].
-        zigzag: offset along x, positive and negative alternately [m].
-        twist: angle of every body about z to the one below [rad].
         names: prefix of the bodies' names, followed by their numbers.
         **coefficients: as in `add_bodies`.
 
     Returns:
         Indices of the bodies.
     """
-    positions = column(count, shape, bottom=bottom, gap=gap, lean=lean, zigzag=zigzag) + [x, 0.0, 0.0]
-    angle = 0.5 * twist * np.arange(count)
-    orientations = np.stack([0.0 * angle, 0.0 * angle, np.sin(angle), np.cos(angle)], axis=1)
-    return add_bodies(scene, shape, positions, orientations, names=names, **coefficients)
+    positions = column(count, shape, bottom=bottom, gap=gap, lean=lean) + [x, 0.0, 0.0]
+    return add_bodies(scene, shape, positions, names=names, **coefficients)
 
 
 def leaning_tower_falls(x: Sequence[float] | np.ndarray, half: float) -> bool:
