@@ -13,10 +13,9 @@ from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders.jointed import gaps
 from warp_rigid.scenes.builders.scene_parts import body, in_space
 from warp_rigid.validation.case import OUTCOME, Check, ValidationCase, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import complete_elliptic
+from warp_rigid.validation.common import G, complete_elliptic
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
-GRAVITY = 9.81
 AMPLITUDES = (5.0, 90.0)
 """Amplitudes of the pendulum [degrees]."""
 WELD = 100.0
@@ -52,7 +51,7 @@ def displaced(trace: Trace, bodies: slice) -> np.ndarray:
 def pendulum(degrees: float) -> Scene:
     """A sphere on a rod of 1 m without mass, let go at an angle."""
     angle = math.radians(degrees)
-    scene = Scene(gravity=(0, 0, -GRAVITY))
+    scene = Scene(gravity=(0, 0, -G))
     start = (math.sin(angle), 0.0, -math.cos(angle))
     ball = scene.add_body(Sphere(0.05), position=start)
     scene.add_joint(DistanceJoint(1.0, 1.0), ball, anchor=start, anchor_b=(0, 0, 0))
@@ -61,7 +60,7 @@ def pendulum(degrees: float) -> Scene:
 
 def exact_period(degrees: float) -> float:
     """Period of that pendulum, by the arithmetic-geometric mean [s]."""
-    return 4.0 * complete_elliptic(math.sin(math.radians(degrees) / 2.0) ** 2) / math.sqrt(GRAVITY)
+    return 4.0 * complete_elliptic(math.sin(math.radians(degrees) / 2.0) ** 2) / math.sqrt(G)
 
 
 def period_of(trace: Trace) -> list[float]:
@@ -80,7 +79,7 @@ def pendulums(duration: float) -> ValidationCase:
         # Velocities are half a step older than positions, so the mean of two of them belongs to a position.
         v = 0.5 * (trace.linear_velocity[1:] + trace.linear_velocity[:-1])[:, :, 0]
         height = trace.position[:-1, :, 0, 2]
-        total = 0.5 * (v * v).sum(axis=-1) + GRAVITY * (height + 1.0)
+        total = 0.5 * (v * v).sum(axis=-1) + G * (height + 1.0)
         return np.abs(total / total[0] - 1.0).max(axis=0)
 
     return case(

@@ -33,6 +33,11 @@ def first_time(trace: Trace, happened: np.ndarray) -> np.ndarray:
     return np.where(happened.any(axis=0), trace.time[happened.argmax(axis=0)], np.inf)
 
 
+def time_at_rest(trace: Trace, speed: np.ndarray) -> np.ndarray:
+    """Time at which a speed (records, envs) has fallen below RESTING, (envs,) [s]."""
+    return first_time(trace, (speed < RESTING) & (trace.time > 0.0)[:, None])
+
+
 def at_time(trace: Trace, series: np.ndarray, time: np.ndarray) -> np.ndarray:
     """A series (records, envs) at a time of each environment, (envs,); NaN where the time is infinite."""
     known = np.isfinite(time)

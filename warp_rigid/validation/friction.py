@@ -7,16 +7,7 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, Miss, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import (
-    RESTING,
-    G,
-    at_time,
-    downhill,
-    first_time,
-    gain_of_energy,
-    orientation_about,
-    per_env,
-)
+from warp_rigid.validation.common import G, at_time, downhill, gain_of_energy, orientation_about, per_env, time_at_rest
 from warp_rigid.validation.experiment import Experiment, Start
 from warp_rigid.validation.solids import cube
 
@@ -159,7 +150,7 @@ def slides():
 
 def stop_time(trace):
     """Time at which the block stops, (envs,) [s]."""
-    return first_time(trace, (speed(trace) < RESTING) & (trace.time > 0.0)[:, None])
+    return time_at_rest(trace, speed(trace))
 
 
 def stop_distance(trace):

@@ -11,8 +11,9 @@ from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.linkages import third_corner
-from warp_rigid.validation.articulated import GRAVITY, exact_period, pendulum, period_of
+from warp_rigid.validation.articulated import exact_period, pendulum, period_of
 from warp_rigid.validation.case import Cases, Check, ValidationCase, at_most, case, measured, relative
+from warp_rigid.validation.common import G
 from warp_rigid.validation.experiment import Experiment, Trace
 
 ANGLES = (10.0, 90.0, 150.0, 178.0)
@@ -94,7 +95,7 @@ def change_of_energy(trace: Trace) -> np.ndarray:
     """
     energy = np.minimum(energy_at_pose(trace, 0.0), energy_at_pose(trace, 0.5 * trace.experiment.dt))
     length = np.linalg.norm(trace.center[0, 0], axis=-1).max()
-    return (energy - energy[0]) / (trace.mass.sum() * GRAVITY * length)
+    return (energy - energy[0]) / (trace.mass.sum() * G * length)
 
 
 def largest_gain(trace: Trace) -> list[float]:
@@ -163,7 +164,7 @@ def _kept(experiments: tuple[Experiment, ...]) -> tuple[Check, ...]:
 
 def double_pendulum() -> Scene:
     """Two balls of 1 kg on rods of 1 m without mass, let go in a horizontal line."""
-    scene = Scene(gravity=(0, 0, -GRAVITY))
+    scene = Scene(gravity=(0, 0, -G))
     above, at = None, (0.0, 0.0, 0.0)
     for k in (1.0, 2.0):
         ball = scene.add_body(Sphere(0.01), position=(k, 0, 0), mass=1.0)
@@ -174,7 +175,7 @@ def double_pendulum() -> Scene:
 
 def chain(links: int) -> Scene:
     """Rods of 0.2 m on ball joints, let go in a horizontal line."""
-    scene = Scene(gravity=(0, 0, -GRAVITY))
+    scene = Scene(gravity=(0, 0, -G))
     above = None
     for k in range(links):
         link = scene.add_body(Box((0.1, 0.01, 0.01)), position=(0.2 * k + 0.1, 0, 0), mass=1.0 / links)
@@ -188,7 +189,7 @@ def chain(links: int) -> Scene:
 
 def four_bar() -> Scene:
     """Crank, coupler and rocker of 0.3, 0.9 and 0.7 m on a base of 1 m, let go with the crank upright."""
-    scene = Scene(gravity=(0, 0, -GRAVITY))
+    scene = Scene(gravity=(0, 0, -G))
     a, d = np.zeros(2), np.array([1.0, 0.0])
     b = np.array([0.0, 0.3])
     c = third_corner(b, d, 0.9, 0.7)
@@ -200,7 +201,7 @@ def four_bar() -> Scene:
 
 def slider_crank() -> Scene:
     """A crank of 0.3 m and a rod of 0.8 m that moves a slider, let go with the crank at 60 degrees."""
-    scene = Scene(gravity=(0, 0, -GRAVITY))
+    scene = Scene(gravity=(0, 0, -G))
     a, b = np.zeros(2), 0.3 * np.array([np.cos(np.pi / 3.0), np.sin(np.pi / 3.0)])
     c = np.array([b[0] + np.sqrt(0.8**2 - b[1] ** 2), 0.0])
     crank, rod = _bar(scene, a, b, 0), _bar(scene, b, c, 1)

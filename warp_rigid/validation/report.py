@@ -20,6 +20,8 @@ COLUMNS = ("quantity", "value", "reference", "error", "tolerance", "verdict")
 WIDTHS = (46, 18, 18, 13, 13, 7)
 """Widths of the columns on a terminal, 120 characters with the gaps."""
 COLORS = {"PASS": "green", "MISS": "yellow", "MET": "bold yellow", "FAIL": "bold red", "ERROR": "bold red"}
+WORDS = ("passed", "known misses", "met although listed as misses", "failed", "not measured")
+"""The verdicts of COLORS in words."""
 
 
 def exit_status(findings: Sequence[CheckResult]) -> int:
@@ -168,16 +170,13 @@ def _error(value: float, kind: str) -> str:
 
 def summary(findings: Sequence[CheckResult]) -> str:
     """The number of checks with each verdict, in one line."""
-    counts = {verdict: sum(f.verdict == verdict for f in findings) for verdict in COLORS}
-    names = {
-        "PASS": "passed",
-        "MISS": "known misses",
-        "MET": "met although listed as misses",
-        "FAIL": "failed",
-        "ERROR": "not measured",
-    }
-    parts = [f"{counts[verdict]} {name}" for verdict, name in names.items() if counts[verdict] or verdict == "PASS"]
+    counts = zip(_counts(findings).items(), WORDS, strict=True)
+    parts = [f"{count} {word}" for (verdict, count), word in counts if count or verdict == "PASS"]
     return f"{len(findings)} checks: {', '.join(parts)}"
+
+
+def _counts(findings: Sequence[CheckResult]) -> dict[str, int]:
+    return {verdict: sum(f.verdict == verdict for f in findings) for verdict in COLORS}
 
 
 def agreement(checks: Sequence[dict[str, Any]]) -> list[str]:
@@ -206,7 +205,7 @@ def as_json(findings: Sequence[CheckResult], devices: Sequence[str]) -> dict[str
     return {
         "devices": list(devices),
         "passed": exit_status(findings) == 0,
-        "counts": {verdict: sum(f.verdict == verdict for f in findings) for verdict in COLORS},
+        "counts": _counts(findings),
         "checks": [_record(finding) for finding in findings],
     }
 

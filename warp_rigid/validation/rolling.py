@@ -5,7 +5,7 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, at_most, case, measured, relative
-from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, orientation_about, per_env
+from warp_rigid.validation.common import G, at_time, downhill, first_time, orientation_about, per_env, time_at_rest
 from warp_rigid.validation.experiment import Experiment, Start
 
 COULOMB = "Coulomb's law, closed form"
@@ -42,7 +42,7 @@ def rolling_time(trace):
 
 def stop_time(trace):
     """Time at which the ball neither rolls nor spins any more, (envs,) [s]."""
-    return first_time(trace, (trace.speed < RESTING) & (trace.time > 0.0)[:, None])
+    return time_at_rest(trace, trace.speed)
 
 
 def stop_distance(trace):
