@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from warp_rigid.bench.measure import OURS
 from warp_rigid.bench.notes import duration
 from warp_rigid.files.atomic import atomic_file
@@ -58,19 +60,17 @@ def _draw_throughput(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _draw_stages(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
-    totals = [sum(row["stage_seconds"].values()) for row in rows]
-    names = dict.fromkeys(name for row in rows for name in row["stage_seconds"])
-    wide = [
-        n for n in names if any(r["stage_seconds"].get(n, 0) > SMALL * t for r, t in zip(rows, totals, strict=True))
-    ]
-    ends = [0.0] * len(rows)
-    for k, name in enumerate([*wide, "others"]):
-        for i, (row, total) in enumerate(zip(rows, totals, strict=True)):
-            parts = row["stage_seconds"]
-            share = parts.get(name, 0.0) if name in wide else sum(t for n, t in parts.items() if n not in wide)
-            label = name.replace("_", " ") if i == 0 else None
-            axes.barh(i, 100.0 * share / total, left=ends[i], color=f"C{k % 10}", hatch="//" * (k // 10), label=label)
-            ends[i] += 100.0 * share / total
+    parts = [row["stage_seconds"] for row in rows]
+    totals = np.array([sum(seconds.values()) for seconds in parts])
+    names = dict.fromkeys(name for seconds in parts for name in seconds)
+    shares = {name: [seconds.get(name, 0.0) for seconds in parts] / totals for name in names}
+    wide = {name: share for name, share in shares.items() if (share > SMALL).any()}
+    bars = wide | {"others": 1.0 - sum(wide.values())}
+    ends = np.zeros(len(rows))
+    for k, (name, share) in enumerate(bars.items()):
+        style = {"color": f"C{k % 10}", "hatch": "//" * (k // 10), "label": name.replace("_", " ")}
+        axes.barh(range(len(rows)), 100.0 * share, left=100.0 * ends, **style)
+        ends += share
     labels = [
         f"{r['scene']}:{r['bodies']} × {r['envs']}\n{duration(t)} per step" for r, t in zip(rows, totals, strict=True)
     ]
