@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.validation.case import Check, at_most, measured
-from warp_rigid.validation.experiment import Start, Trace
+from warp_rigid.validation.experiment import Trace
 
 G = 9.81
 NO_GRAVITY = (0.0, 0.0, 0.0)
@@ -21,11 +21,6 @@ def downhill(degrees: float, gravity: float = G) -> tuple[float, float, float]:
 def orientation_about(axis, degrees) -> np.ndarray:
     """Quaternion (..., 4) of rotations about an axis by one angle or several [degrees]."""
     return rotations.about_axis(axis, np.radians(degrees))
-
-
-def per_env(name: str, values) -> Start:
-    """A coefficient that is the same for all bodies of an environment."""
-    return Start(name, np.asarray(values, np.float64)[:, None])
 
 
 def first_time(trace: Trace, happened: np.ndarray) -> np.ndarray:

@@ -12,8 +12,8 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, in_space, static
 from warp_rigid.validation.case import Cases, Check, Curve, absolute, case, measured, relative
-from warp_rigid.validation.common import G, first_time, per_env
-from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
+from warp_rigid.validation.common import G, first_time
+from warp_rigid.validation.experiment import DT, Experiment, Start, Trace, per_env
 from warp_rigid.validation.sliding import ring_feet
 
 HALF = 0.1

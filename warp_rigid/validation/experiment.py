@@ -26,6 +26,17 @@ class Start:
     bodies: Any = None
 
 
+def per_env(name: str, values) -> Start:
+    """A coefficient that is the same for all bodies of an environment."""
+    return Start(name, np.asarray(values, np.float64)[:, None])
+
+
+def of_body(body: int = 1, **values: Any) -> tuple[Start, ...]:
+    """Quantities of a body: one value for all environments, (k,), or one for each of them, (envs, k)."""
+    arrays = {name: np.asarray(value, np.float64) for name, value in values.items()}
+    return tuple(Start(name, v[:, None] if v.ndim == 2 else v, bodies=[body]) for name, v in arrays.items())
+
+
 @dataclass(frozen=True)
 class Experiment:
     """One batch: a scene, the differences between its environments, and its duration.

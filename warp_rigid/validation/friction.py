@@ -7,8 +7,8 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, Miss, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import G, at_time, downhill, gain_of_energy, orientation_about, per_env, time_at_rest
-from warp_rigid.validation.experiment import Experiment, Start
+from warp_rigid.validation.common import G, at_time, downhill, gain_of_energy, orientation_about, time_at_rest
+from warp_rigid.validation.experiment import Experiment, Start, of_body, per_env
 from warp_rigid.validation.solids import cube
 
 COULOMB = "Coulomb's law, closed form"
@@ -56,16 +56,11 @@ def block_on_incline(block, degrees, friction, start=0.0, restitution=0.0, gravi
 
     starts = [
         per_env("friction", friction),
-        Start("position", (half * up - down)[:, None], bodies=[1]),
-        Start("orientation", orientation[:, None], bodies=[1]),
-        Start("linear_velocity", (start[:, None] * down)[:, None], bodies=[1]),
+        *of_body(position=half * up - down, orientation=orientation, linear_velocity=start[:, None] * down),
     ]
     if mesh:
         scene = in_space(plate, placed, gravity=(0, 0, -gravity))
-        starts += [
-            Start("position", (-0.5 * up)[:, None], bodies=[0]),
-            Start("orientation", orientation[:, None], bodies=[0]),
-        ]
+        starts += of_body(0, position=-0.5 * up, orientation=orientation)
     else:
         scene = on_ground(placed, restitution=restitution)
         starts.append(Start("gravity", [downhill(angle, gravity) for angle in degrees]))
@@ -239,8 +234,8 @@ def stopping_distance():
     start, friction = np.array([(2.0, 0.2), (2.0, 0.4), (2.0, 0.7), (5.0, 0.5)]).T
 
     scene = on_ground(body(Box((0.25, 0.25, 0.25)), position=(0, 0, 0.25)))
-    velocity = np.stack([start, 0 * start, 0 * start], axis=1)[:, None]
-    starts = per_env("friction", friction), Start("linear_velocity", velocity, bodies=[1])
+    velocity = np.stack([start, 0 * start, 0 * start], axis=1)
+    starts = per_env("friction", friction), *of_body(linear_velocity=velocity)
 
     def experiment(steps):
         names = tuple(f"v0 {v:g}, mu {mu:g}, dt 1/{steps}" for v, mu in zip(start, friction, strict=True))

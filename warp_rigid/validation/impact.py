@@ -6,8 +6,8 @@ from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, orientation_about, per_env
-from warp_rigid.validation.experiment import DT, Experiment, Start
+from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, orientation_about
+from warp_rigid.validation.experiment import DT, Experiment, Start, of_body, per_env
 
 NEWTON = "Newton's law of impact, closed form"
 RATES = (60, 240, 1000)
@@ -268,8 +268,8 @@ def superball():
     starts = (
         per_env("restitution", restitution),
         per_env("friction", friction),
-        Start("linear_velocity", np.stack([tangential, zero, normal], axis=1)[:, None], bodies=[1]),
-        Start("angular_velocity", np.stack([zero, spin, zero], axis=1)[:, None], bodies=[1]),
+        *of_body(linear_velocity=np.stack([tangential, zero, normal], axis=1)),
+        *of_body(angular_velocity=np.stack([zero, spin, zero], axis=1)),
     )
     names = ("sticks", "slips", "spin only", "just slips", "just sticks")
 

@@ -8,8 +8,7 @@ from warp_rigid.scenes.builders import piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.scene_parts import on_ground
 from warp_rigid.validation.case import AT_LEAST, Cases, Check, Curve, Miss, at_most, case, each, measured
-from warp_rigid.validation.common import per_env
-from warp_rigid.validation.experiment import Experiment
+from warp_rigid.validation.experiment import Experiment, per_env
 
 
 def cases(quick: bool) -> Cases:

@@ -23,7 +23,7 @@ from warp_rigid.validation.case import (
     relative,
 )
 from warp_rigid.validation.common import NO_GRAVITY, G, orientation_about
-from warp_rigid.validation.experiment import Experiment, Start
+from warp_rigid.validation.experiment import Experiment, Start, of_body
 from warp_rigid.validation.towers import tilt
 
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
@@ -142,8 +142,7 @@ def push_out():
 
         overlap, degrees = np.array(cells, np.float64).T
         place = np.stack([0.2 * (1 - overlap), 0 * overlap + 0.01, 0 * overlap + 0.02], axis=1)
-        turn = orientation_about((1, 2, 3), degrees)
-        starts = Start("position", place[:, None], bodies=[1]), Start("orientation", turn[:, None], bodies=[1])
+        starts = of_body(position=place, orientation=orientation_about((1, 2, 3), degrees))
         names = tuple(f"{100 * fraction:g} % of the width, turned by {angle:g} deg" for fraction, angle in cells)
         return Experiment(in_space(add, add), 0.5, names, starts, label=name, watch_overlap=True)
 
@@ -184,7 +183,7 @@ def random_overlaps(count):
     away = draw.normal(size=(count, 3))
     away *= (draw.uniform(0.09, 0.16, count) / np.linalg.norm(away, axis=1))[:, None]
     scene = in_space(body(Box((0.084, 0.065, 0.067))), body(Box((0.035, 0.04, 0.04))))
-    starts = (Start("position", away[:, None], bodies=[1]), Start("orientation", rotations.random(draw, count, 2)))
+    starts = (*of_body(position=away), Start("orientation", rotations.random(draw, count, 2)))
 
     def parted(s):
         """Share of the pairs with an initial overlap of 1 to 20 mm that no longer overlap."""
@@ -242,6 +241,6 @@ def bypass(dt):
         measured("goes through the bar", "", passed, OUTCOME, rows=above),
         measured(after, "m/s", downwards, relative(0.01), kept * speed, struck, miss=miss),
         measured("goes past the bar's end", "", passed, OUTCOME, 1, rows=beside),
-        of=Experiment(scene, 0.3, names, (Start("position", place[:, None], bodies=[1]),), dt=dt),
+        of=Experiment(scene, 0.3, names, of_body(position=place), dt=dt),
         curve=Curve("height", "m", lambda t: t.position[:, :, 1, 2]),
     )

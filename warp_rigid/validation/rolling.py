@@ -5,8 +5,8 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, at_most, case, measured, relative
-from warp_rigid.validation.common import G, at_time, downhill, first_time, orientation_about, per_env, time_at_rest
-from warp_rigid.validation.experiment import Experiment, Start
+from warp_rigid.validation.common import G, at_time, downhill, first_time, orientation_about, time_at_rest
+from warp_rigid.validation.experiment import Experiment, Start, of_body, per_env
 
 COULOMB = "Coulomb's law, closed form"
 
@@ -65,11 +65,8 @@ MASSES = (0.01, 1.0, 1000.0)
 
 def over_masses(*starts, **options):
     """A ball in environments that differ only in its mass, by five powers of ten."""
-    return ball(
-        variants=tuple(f"{mass:g} kg" for mass in MASSES),
-        starts=(Start("mass", np.array(MASSES)[:, None], bodies=[1]), *starts),
-        **options,
-    )
+    mass = Start("mass", np.array(MASSES)[:, None], bodies=[1])
+    return ball(variants=tuple(f"{mass:g} kg" for mass in MASSES), starts=(mass, *starts), **options)
 
 
 def slide_to_roll():
@@ -83,7 +80,7 @@ def slide_to_roll():
         measured("time until it rolls", "s", rolling_time, relative(5e-3), time),
         measured("distance until it rolls", "m", rolling_distance, relative(5e-3), distance),
         measured("speed 1 s later", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], relative(5e-3), 5 * v0 / 7),
-        of=over_masses(Start("friction", mu), Start("linear_velocity", (v0, 0, 0), bodies=[1]), duration=1.75),
+        of=over_masses(Start("friction", mu), *of_body(linear_velocity=(v0, 0, 0)), duration=1.75),
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )
 
@@ -92,18 +89,14 @@ def backspin():
     """A ball with backspin that removes all of its speed."""
     v0, mu = 2.0, 0.2
     time = v0 / (mu * G)
+    motion = of_body(linear_velocity=(v0, 0, 0), angular_velocity=(0, -v0 / 0.1 * 2.5, 0))
     return case(
         "V24 ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops",
         COULOMB,
         measured("time to stop", "s", stop_time, relative(5e-3), time),
         measured("distance to stop", "m", lambda t: forward(t)[-1], relative(5e-3), 0.5 * v0 * time),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
-        of=over_masses(
-            Start("friction", mu),
-            Start("linear_velocity", (v0, 0, 0), bodies=[1]),
-            Start("angular_velocity", (0, -v0 / 0.1 * 2.5, 0), bodies=[1]),
-            duration=1.4,
-        ),
+        of=over_masses(Start("friction", mu), *motion, duration=1.4),
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )
 
@@ -148,20 +141,15 @@ def rolling_friction():
     """Torque = c N slows a rolling ball by c g / (R (1 + 2/5)), whatever its mass."""
     radius, c = 0.5, 0.01
     slowing = c * G / (1.4 * radius)
+    surface = Start("friction", 0.5), Start("rolling_friction", c)
+    motion = of_body(linear_velocity=(1, 0, 0), angular_velocity=(0, 2, 0))
     return case(
         "V29 rolling friction, R 0.5 m, c 0.01 m, from 1 m/s, over five powers of ten of mass",
         "torque = c N, closed form",
         measured("time to stop", "s", stop_time, relative(0.02), 1 / slowing),
         measured("distance to stop", "m", stop_distance, relative(0.02), 0.5 / slowing),
         measured("motion after the stop", "m", lambda t: np.abs(forward(t)[-1] - stop_distance(t)), at_most(1e-5)),
-        of=over_masses(
-            Start("friction", 0.5),
-            Start("rolling_friction", c),
-            Start("linear_velocity", (1, 0, 0), bodies=[1]),
-            Start("angular_velocity", (0, 2, 0), bodies=[1]),
-            radius=radius,
-            duration=8.0,
-        ),
+        of=over_masses(*surface, *motion, radius=radius, duration=8.0),
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )
 
@@ -184,19 +172,13 @@ def spinning_friction():
     """Torque = c N slows a ball that spins in place by c N / I = 5 c g / (2 R^2), whatever its mass."""
     radius, c, spin = 0.5, 0.01, 10.0
     time = spin / (c * G / (0.4 * radius**2))
+    surface = Start("friction", 0.5), Start("spinning_friction", c)
     return case(
         "V30 spinning friction, R 0.5 m, c 0.01 m, from 10 rad/s, over five powers of ten of mass",
         "torque = c N, closed form",
         measured("time to stop", "s", stop_time, relative(0.02), time),
         measured("drift", "m", lambda t: t.displacement[-1], at_most(1e-4)),
-        of=over_masses(
-            Start("friction", 0.5),
-            Start("spinning_friction", c),
-            Start("angular_velocity", (0, 0, spin), bodies=[1]),
-            radius=radius,
-            duration=11.0,
-            every=4,
-        ),
+        of=over_masses(*surface, *of_body(angular_velocity=(0, 0, spin)), radius=radius, duration=11.0, every=4),
         curve=Curve("spin", "rad/s", lambda t: t.angular_velocity[:, :, 1, 2]),
     )
 
@@ -221,7 +203,7 @@ def force_direction(duration):
         return np.einsum("ei,ei->e", trace.linear_velocity[-1, :, 1], heading) / trace.time[-1]
 
     names = tuple(f"{angle:g} deg to x" for angle in angles)
-    starts = (Start("force", (force * heading)[:, None], bodies=[1]),)
+    starts = of_body(force=force * heading)
     return case(
         "V33 box with 25 balls dragged in four directions by 1.09 of its friction",
         "SimBenchmark rolling; a = (F - mu N) / (M + 2 m n / 7)",

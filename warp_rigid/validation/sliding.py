@@ -8,7 +8,7 @@ from warp_rigid.scene.shapes import Box, Compound, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import Cases, Curve, case, measured, relative
 from warp_rigid.validation.common import G, first_time
-from warp_rigid.validation.experiment import Experiment, Start, Trace
+from warp_rigid.validation.experiment import Experiment, Trace, of_body
 
 MU = 0.3
 RING_RADIUS, FOOT_RADIUS = 0.5, 0.005
@@ -84,11 +84,10 @@ def stops(trace: Trace) -> np.ndarray:
 
 def slide(shape, height, label) -> Experiment:
     """Experiment: a body that slides and spins on level ground, an environment for each of MOTIONS."""
-    velocity = np.array([[(speed, 0.0, 0.0)] for speed, _ in MOTIONS])
-    spin = np.array([[(0.0, 0.0, w)] for _, w in MOTIONS])
     scene = on_ground(body(shape, position=(0, 0, height), friction=MU), friction=MU)
     names = tuple(f"{speed:g} m/s, {w:g} rad/s" for speed, w in MOTIONS)
-    starts = Start("linear_velocity", velocity, bodies=[1]), Start("angular_velocity", spin, bodies=[1])
+    velocity, spin = [(speed, 0.0, 0.0) for speed, _ in MOTIONS], [(0.0, 0.0, w) for _, w in MOTIONS]
+    starts = of_body(linear_velocity=velocity, angular_velocity=spin)
     return Experiment(scene, 1.5, names, starts, label=label)
 
 

@@ -25,8 +25,8 @@ from warp_rigid.validation.case import (
     measured,
     relative,
 )
-from warp_rigid.validation.common import G, largest_rise, per_env
-from warp_rigid.validation.experiment import Experiment, Start, Trace
+from warp_rigid.validation.common import G, largest_rise
+from warp_rigid.validation.experiment import Experiment, Start, Trace, per_env
 from warp_rigid.validation.solids import extrude
 
 STATICS = "statics, closed form"

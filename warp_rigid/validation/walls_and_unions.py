@@ -12,7 +12,7 @@ from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.validation.case import Cases, Check, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import NO_GRAVITY
-from warp_rigid.validation.experiment import Experiment, Start
+from warp_rigid.validation.experiment import Experiment, of_body
 
 SIZE = 0.3
 """Width of the vessels and of the plates, and height of the drop [m]."""
@@ -65,10 +65,7 @@ def vessels(kinds, shares, bodies, count=6):
 
         draw = np.random.default_rng(72)
         place = draw.uniform((-0.05, -0.05, SIZE), (0.05, 0.05, SIZE), (count, 3))
-        starts = (
-            Start("position", place[:, None], bodies=[1]),
-            Start("orientation", rotations.random(draw, count)[:, None], bodies=[1]),
-        )
+        starts = of_body(position=place, orientation=rotations.random(draw, count))
         names = tuple(str(k) for k in range(count))
         label = f"{body}, {kind} 1/{share}"
         return Experiment(scene, 2.0, names, starts, every=4, label=label, watch_overlap=True)
@@ -112,11 +109,8 @@ def plates():
         return made
 
     names = tuple(f"{speed:g} m/s, tilt {k}" for speed in speeds for k in range(len(orientations)))
-    velocity = np.array([[(0.0, 0.0, -speed)] for speed in speeds for _ in orientations])
-    starts = (
-        Start("orientation", np.tile(orientations, (len(speeds), 1))[:, None], bodies=[1]),
-        Start("linear_velocity", velocity, bodies=[1]),
-    )
+    velocity = [(0.0, 0.0, -speed) for speed in speeds for _ in orientations]
+    starts = of_body(orientation=np.tile(orientations, (len(speeds), 1)), linear_velocity=velocity)
     return case(
         "V72 a plate of 1 mm thrown onto another, as meshes",
         "solids do not pass through each other",
