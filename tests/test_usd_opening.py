@@ -34,6 +34,14 @@ def file(tmp_path):
     return write
 
 
+def test_a_message_of_usd_that_is_no_text_is_replaced(tmp_path):
+    """USD quotes what it cannot read; converting this message to a string fails."""
+    path = tmp_path / "file.usda"
+    path.write_bytes(b'#usda 1.0\ndef Xform "A" { string s = "\xff\xfe" }\n')
+    with pytest.raises(ValueError, match="not a readable USD file: 'utf-8' codec can't decode"):
+        opening.open_stage(path)
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

@@ -178,6 +178,14 @@ def test_get_selects_as_indexing_does(device, name):
             sim.get(name, bodies=[0])
 
 
+def test_a_view_refuses_a_quantity_that_does_not_exist():
+    sim = wr.Simulator(pile(count=1), num_envs=2, device="cpu")
+    view = EnvironmentView(sim, sim.scenes[0], np.array([1]), {})
+    view.get("position")
+    with pytest.raises(ValueError, match="^name: must be a quantity, got 'time'"):
+        view.get("time")
+
+
 def test_slices_select_what_set_changes(device):
     sim = wr.Simulator(pile(count=3), num_envs=4, device=device)
     sim.set("friction", 0.25, envs=slice(None, None, 2), bodies=slice(2, None))

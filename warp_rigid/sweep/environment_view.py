@@ -49,7 +49,7 @@ class EnvironmentView:
 
     def get(self, name: str, envs: Indices = None, bodies: Members = None, joints: Members = None) -> np.ndarray:
         """See Simulator.get."""
-        values = self._read(name, lambda: self._sim.get(name))[self._chosen(envs)]
+        values = self._read(f"get({name})", lambda: self._sim.get(name))[self._chosen(envs)]
         check_owner(name, bodies, joints)
         owner, wanted = owner_of(name), bodies if joints is None else joints
         if owner not in ("bodies", "joints"):

@@ -1,6 +1,5 @@
 """Plots of a sweep: lines over one axis, a heat map over two, or a scatter matrix over more."""
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,8 @@ def check_plot(path: Any, kind: str | None = None) -> None:
 def plot(result: Any, path: Any = None, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
     """Plot the rows of a SweepResult; see SweepResult.plot."""
     check_plot(path, kind)
+    from warp_rigid.sweep.shown_figure import ShownFigure
+
     if not result.rows or not result.axes:
         raise ValueError("plot: requires at least one row and one axis")
     y = y or _first_number(result)
@@ -47,7 +48,7 @@ def plot(result: Any, path: Any = None, x: str | None = None, y: str | None = No
         raise ValueError(f"plot: y must be a metric ({', '.join(result.metrics)}), got the axis {y}")
     others = [name for name in result.axes if name != x]
     kind = kind or _kind(result, x, [name for name in numeric if name != x])
-    figure = _new_figure()
+    figure = ShownFigure()
     if kind == "line":
         _lines(figure, result, x, y, others)
     elif kind == "heatmap":
@@ -60,22 +61,6 @@ def plot(result: Any, path: Any = None, x: str | None = None, y: str | None = No
     if path is not None:
         with atomic_file(path) as temporary:
             figure.savefig(temporary)
-    return figure
-
-
-def _new_figure() -> Any:
-    """An empty figure that pyplot does not know, so that a notebook shows it once: as the value of a cell."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    class ShownFigure(Figure):
-        def _repr_png_(self) -> bytes:
-            file = io.BytesIO()
-            self.savefig(file, format="png")
-            return file.getvalue()
-
-    figure = ShownFigure(layout="constrained", dpi=100)
-    FigureCanvasAgg(figure)
     return figure
 
 

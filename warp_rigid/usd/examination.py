@@ -70,17 +70,25 @@ def refusal(path: str, allow: Any = None, most_bytes: float = math.inf) -> str:
     try:
         _Examination(path, allow).check()
     except (MemoryError, ValueError, RuntimeError, *UNREADABLE) as error:
-        reason = reason_of(error)
-        if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
+        text, reason = _text_of(error), reason_of(error)
+        if isinstance(error, MemoryError) or "std::bad_alloc" in text:
             allowed = f"{most_bytes / 2**30:g} GiB; WARP_RIGID_USD_GIGABYTES raises the limit"
             reason = f"opening it takes more memory than allowed, {allowed}"
-        return str(error) if type(error) is ValueError else f"{path}: not a readable USD file: {reason}"
+        return text if type(error) is ValueError else f"{path}: not a readable USD file: {reason}"
     return ""
+
+
+def _text_of(error: Exception) -> str:
+    """The message of an error; that of the conversion if USD's message, which can quote the file, is no UTF-8."""
+    try:
+        return str(error)
+    except UnicodeError as broken:
+        return str(broken)
 
 
 def reason_of(error: Exception) -> str:
     """The message of the first USD error, without its location in the source code of USD."""
-    text = " ".join(str(error).split())
+    text = " ".join(_text_of(error).split())
     found = re.search(r" : '(.*?)'(?: Error in |$)", text)
     return (found[1] if found else text)[:300]
 
