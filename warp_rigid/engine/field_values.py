@@ -11,7 +11,7 @@ from warp_rigid.scene.fields import FIELDS, ForceField
 PREFIX = "field_"
 
 
-TAILS = {
+VALUE_SHAPES = {
     PREFIX + name: (3,) if is_vector else ()
     for kind in FIELDS.values()
     for name, is_vector in kind.parameters().items()
@@ -25,16 +25,16 @@ def read(layout: Layout, parameters: np.ndarray, name: str) -> np.ndarray:
     Args:
         layout: the environments.
         parameters: (fields, columns) parameters of all fields as on the device.
-        name: one of TAILS.
+        name: one of VALUE_SHAPES.
 
     Raises:
         ValueError: no force field of the scenes has the parameter.
     """
-    values = np.full((len(parameters), *TAILS[name]), np.nan, np.float32)
+    values = np.full((len(parameters), *VALUE_SHAPES[name]), np.nan, np.float32)
     source = _source(layout)
     for index, columns in _columns(layout, name).items():
         own = source == index
-        values[own] = parameters[own, columns].reshape(-1, *TAILS[name])
+        values[own] = parameters[own, columns].reshape(-1, *VALUE_SHAPES[name])
     return spread_rows(values, layout.table("fields"))
 
 
@@ -44,7 +44,7 @@ def write(layout: Layout, parameters: np.ndarray, name: str, new: np.ndarray, ro
     Args:
         layout: the environments.
         parameters: (fields, columns) as for `read`; changed in place.
-        name: one of TAILS.
+        name: one of VALUE_SHAPES.
         new: (n, most fields, ...) values.
         rows: (n, most fields) rows of the fields.
 

@@ -31,8 +31,8 @@ from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, check_mass
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
 VECTOR_LENGTHS = {
     name: 4 if name == "orientation" else 3
-    for name in (*STATE_NAMES, *SURFACE_VELOCITIES, "gravity", *field_values.TAILS)
-    if field_values.TAILS.get(name) != ()
+    for name in (*STATE_NAMES, *SURFACE_VELOCITIES, "gravity", *field_values.VALUE_SHAPES)
+    if field_values.VALUE_SHAPES.get(name) != ()
 }
 """Numbers of components of the quantities that are vectors."""
 VELOCITIES = ("linear_velocity", "angular_velocity")
@@ -51,7 +51,7 @@ LACKED = {
 
 WRITABLE = (*STATE_NAMES, *SURFACE_VELOCITIES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
 """Names of the quantities of bodies and environments that can be set."""
-SETTABLE = (*WRITABLE, *field_values.TAILS, *joint_quantities.WRITABLE)
+SETTABLE = (*WRITABLE, *field_values.VALUE_SHAPES, *joint_quantities.WRITABLE)
 """Names of all quantities that can be set, also those of force fields and joints."""
 
 
@@ -59,7 +59,7 @@ def owner_of(name: str) -> str:
     """What a quantity has a value for: "bodies", "joints", "fields" or "envs"."""
     if name in joint_quantities.READABLE:
         return "joints"
-    if name in field_values.TAILS:
+    if name in field_values.VALUE_SHAPES:
         return "fields"
     return "envs" if name == "gravity" or name in PER_ENVIRONMENT else "bodies"
 
@@ -116,7 +116,7 @@ def read(world: World, name: str) -> np.ndarray:
         return _flags(world, world.sleep_state.asleep)
     if name == "active":
         return _flags(world, world.state.active)
-    if name in field_values.TAILS:
+    if name in field_values.VALUE_SHAPES:
         return field_values.read(world.layout, world.model.fields.parameters.numpy(), name)
     if name in joint_quantities.READABLE:
         return joint_quantities.read(world, name)
@@ -146,7 +146,7 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         rows = world.envs.gravity.numpy()
         rows[chosen] = _broadcast(name, value, (len(chosen), 3))
         world.envs.gravity.assign(rows)
-    elif name in field_values.TAILS:
+    elif name in field_values.VALUE_SHAPES:
         touched = rows_of(world.layout, chosen, None)
         _write_field(world, name, value, chosen)
     else:
@@ -263,7 +263,7 @@ def _as_python(value: Any) -> Any:
 def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
     array = world.model.fields.parameters
     rows, needed = world.layout.table("fields")[chosen], field_values.having(world.layout, name)[chosen]
-    new = _broadcast(name, value, (*rows.shape, *field_values.TAILS[name]), needed)
+    new = _broadcast(name, value, (*rows.shape, *field_values.VALUE_SHAPES[name]), needed)
     host = array.numpy()
     field_values.write(world.layout, host, name, new, rows)
     array.assign(host)

@@ -237,7 +237,8 @@ def _film_of_stage(stage) -> Film:
         several = group.IsA(UsdGeom.PointInstancer)
         drawn, image, positions, turns, colors = (_read_instancer if several else _read_body)(group, frames)
         key = drawn.vertices.tobytes() + drawn.faces.tobytes() + (b"" if drawn.uv is None else drawn.uv.tobytes())
-        if mesh_index.setdefault(key, len(meshes)) == len(meshes):
+        if key not in mesh_index:
+            mesh_index[key] = len(meshes)
             meshes.append(drawn)
         body = np.array(group.GetAttribute("ids").Get() if several else [count[index]], np.int64)
         parts.append(

@@ -19,7 +19,7 @@ from warp_rigid.scene.scene import SURFACE_VELOCITIES
 BODY_PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, *SURFACE_VELOCITIES, "active")
 SELECTING = (*BODY_PROPERTIES, *joint_quantities.WRITABLE)
 """Properties of bodies and of joints, which can be selected by name."""
-PROPERTIES = (*SELECTING, "gravity", *field_values.TAILS)
+PROPERTIES = (*SELECTING, "gravity", *field_values.VALUE_SHAPES)
 """Quantities that can be set in a simulation besides the settings; all bodies, joints or force fields get the same
 value."""
 

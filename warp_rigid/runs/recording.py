@@ -37,7 +37,7 @@ CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "
 VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
 """Quantities recorded on request."""
 RECORDED_UNITS = {"time": "s", "position": "m", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
-TAILS = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
+VALUE_SHAPES = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
 START = (*VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES, "gravity")
 """Quantities recorded in the first frame only."""
 CONTACTS = {name: f"contact_{name}" for name in CONTACT_RECORD.names or ()}
@@ -515,7 +515,7 @@ def _surface(arrays: Mapping[str, np.ndarray], index: int, endless: bool, freque
 
 def _quantities(arrays: Mapping[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:
     """Validate quantities of shape (frames, envs, bodies, ...), by name."""
-    return {name: shaped(arrays, name, kind, rows + TAILS.get(name, ())) for name, kind in kinds.items()}
+    return {name: shaped(arrays, name, kind, rows + VALUE_SHAPES.get(name, ())) for name, kind in kinds.items()}
 
 
 def _frames(arrays: dict[str, np.ndarray], contacts: Sequence[np.ndarray] | None) -> Iterator[Frame]:

@@ -366,7 +366,7 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
     plain, _, choice = name.partition("[")
     if plain in VECTOR_LENGTHS:
         values = [np.broadcast_to(value, VECTOR_LENGTHS[plain]) for value in values]  # 0 is the zero vector
-    if plain in field_values.TAILS:
+    if plain in field_values.VALUE_SHAPES:
         sim.set(plain, np.asarray(values)[:, None])
     elif plain not in SELECTING:
         sim.set(plain, values)

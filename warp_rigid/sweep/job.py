@@ -247,7 +247,7 @@ def _implied_by(job: Job, point: dict[str, Any]) -> dict[str, Any]:
 def _check_property(scene: Scene, name: str, value: Any) -> None:
     """Validate a property as Simulator.set does, before any run."""
     plain, _, choice = name.partition("[")
-    if plain in field_values.TAILS:
+    if plain in field_values.VALUE_SHAPES:
         for field in field_values.fields_with(scene.force_fields, plain):
             field_values.check(field, plain, value)
         return

@@ -107,7 +107,8 @@ def set_operations(
     With `reset` the prim ignores the transforms above it.
     """
     made = [set_attribute(prim, f"xformOp:{name}", *value) for name, value in operations.items()]
-    order = ["!resetXformStack!"] * reset + [attribute.name for attribute in made]
+    order = ["!resetXformStack!"] if reset else []
+    order += [attribute.name for attribute in made]
     set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Vt.TokenArray(order), uniform=True)
     return made
 

@@ -141,7 +141,10 @@ class FilmViewer:
             else:
                 self.seek(self.frame + (1 if event.target.value == "Forward" else -1))
 
-        speed.on_update(lambda event: setattr(self, "_speed", speed.value))
+        @speed.on_update
+        def _(event) -> None:
+            self._speed = speed.value
+
         wire.on_update(lambda event: self._instances.wire(wire.value))
         play.on_trigger(lambda event: self._toggle())
 
