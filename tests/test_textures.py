@@ -404,6 +404,15 @@ def test_images_repeat_and_blur_from_afar(tmp_path):
         np.testing.assert_allclose(at(x, y)[0], expected, atol=0.02)
 
 
+@pytest.mark.parametrize("repeat", [1e9, 1e30, 3e38])
+def test_images_that_repeat_too_often_to_be_seen_are_drawn(tmp_path, repeat):
+    """The number of texels of a pixel was infinite, and the size of the image for it outside of all sizes."""
+    scene = slab(tmp_path, np.full((4, 4, 3), 255, np.uint8), repeat)
+    scene.looks[0] = Look(None, 1.0, 0.0, tmp_path / "image.png")
+    at = seen(film_from_recording(start_of(scene)))
+    assert at(0.3, 0.2)[0].min() > 0.7
+
+
 def told(act):
     """The result of a call, and the messages of its warnings."""
     with warnings.catch_warnings(record=True) as found:

@@ -65,12 +65,12 @@ def texture_color(
     if level < 0:
         return plain
     at = u * textures.uv[row, 0] + v * textures.uv[row, 1] + (1.0 - u - v) * textures.uv[row, 2]
-    if wp.isnan(at[0]):
+    if not (wp.isfinite(at[0]) and wp.isfinite(at[1])):
         return plain
     size = textures.size[level]
     texels = footprint / textures.length[row] * wp.sqrt(float(size[0]) * float(size[1]))
-    smaller = int(wp.round(wp.log2(wp.max(texels, 1.0))))
-    return bilinear(textures, level + wp.min(smaller, textures.levels[i] - 1), at)
+    smaller = wp.clamp(wp.round(wp.log2(wp.max(texels, 1.0))), 0.0, float(textures.levels[i] - 1))
+    return bilinear(textures, level + int(smaller), at)
 
 
 def textures_of(film: Film) -> Textures:
