@@ -63,7 +63,7 @@ class SampleList:
     def __init__(self):
         """An empty list."""
         self._columns = {name: [] for name in COLUMNS}
-        self.unsampled_edges = np.zeros((0, 3))
+        self._unsampled_edges, self._edge_count = [np.zeros((0, 3))], 0
 
     def add(
         self,
@@ -84,8 +84,9 @@ class SampleList:
         """
         point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
         count = len(point)
-        edges = np.asarray(edges) + len(self.unsampled_edges)
-        self.unsampled_edges = np.concatenate([self.unsampled_edges, np.reshape(unsampled_edges, (-1, 3))])
+        edges = np.asarray(edges) + self._edge_count
+        self._unsampled_edges.append(np.reshape(unsampled_edges, (-1, 3)))
+        self._edge_count += len(self._unsampled_edges[-1])
         values = (point, normal, slide, radius, kind, choice, rank, edges, dip)
         for (name, column), value in zip(self._columns.items(), values, strict=True):
             shape = WIDTHS.get(name, ())
@@ -102,6 +103,11 @@ class SampleList:
         end = np.array([[0.0, 0.0, half_length]])
         middle, half, _ = split_segments(-end, end, np.array([pieces]))
         self.add(SampleKind.EDGE, middle, slide=half, radius=radius)
+
+    @property
+    def unsampled_edges(self) -> np.ndarray:
+        """The unsampled edges of all samples, (m, 3) [m]."""
+        return np.concatenate(self._unsampled_edges)
 
     def columns(self) -> dict[str, np.ndarray]:
         """All samples, a column for each of `COLUMNS`."""
