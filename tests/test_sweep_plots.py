@@ -1,5 +1,7 @@
 """Plots of sweeps: the kind that suits the axes, and what they show."""
 
+import pickle
+
 import matplotlib.figure
 import numpy as np
 import pytest
@@ -111,3 +113,10 @@ def test_mistakes_are_named(arguments, message, tmp_path):
 def test_an_axis_is_refused_as_the_metric(tmp_path):
     with pytest.raises(ValueError, match=r"y must be a metric \(total"):
         table(["a", "b"], [(a, b) for a in range(6) for b in range(5)]).plot(tmp_path / "p.png", x="a", y="b")
+
+
+def test_a_figure_can_be_stored():
+    """Its class must be one that pickle finds by its name."""
+    figure = plot(table(["x"], [(1,), (2,), (3,)]))
+    again = pickle.loads(pickle.dumps(figure))
+    assert len(again.axes) == len(figure.axes) and again._repr_png_()[1:4] == b"PNG"
