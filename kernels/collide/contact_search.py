@@ -19,7 +19,8 @@ ROUNDED_OFF = wp.constant(1.0e-3)
 """Tangents that meet outside of the interval, by less than this fraction of its length, count as meeting at its end."""
 
 ASIDE = wp.constant(0.01)
-"""Offset from a crossing at which the gradients on both sides are evaluated, as a fraction of the half-length."""
+"""Offset from a crossing at which the gradients on both sides are evaluated, and from a doubtful point at which the
+distance is, as a fraction of the half-length."""
 
 FOUND = wp.constant(1.0e-4)
 """The search along an edge ends when the point moves by less than this fraction of the half-length."""

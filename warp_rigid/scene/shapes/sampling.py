@@ -80,7 +80,7 @@ class SampleList:
     ):
         """Append n samples; each argument is one value for all, or one per sample.
 
-        `edges` (n, 2) are rows of `unsampled_edges` (m, 3), both as in `Samples`.
+        `edges` (n, 2) are ranges of rows of `unsampled_edges` (m, 3), both as in `Samples`.
         """
         point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
         count = len(point)
