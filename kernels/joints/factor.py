@@ -67,8 +67,25 @@ def masked(values: vec6d, active: int):
 
 
 @wp.func
-def coupling_row(j: int, i: int, k: int, b: int, joints: Joints):
-    """Velocity along row i of joint j for unit impulses along the rows of joint k, through their common body b."""
+def coupling_row(j: int, i: int, k: int, a: int, b: int, joints: Joints):
+    """Velocity along row i of joint j for unit impulses along the rows of joint k, through their common bodies.
+
+    These are a and b; -1 for none.
+    """
+    total = vec6d()
+    body = int(a)
+    side = int(0)
+    while side < 2:
+        if body >= 0:
+            total += coupling_through(body, j, i, k, joints)
+        body = b
+        side += 1
+    return total
+
+
+@wp.func
+def coupling_through(b: int, j: int, i: int, k: int, joints: Joints):
+    """As `coupling_row`, through one body."""
     if not is_locked(joints.active[j], i):
         return vec6d()
     push = joints.inverse_mass[b] * axis_row(joints.linear, j, i)
@@ -117,20 +134,14 @@ def assemble_row(place: int, i: int, dt: float, joints: Joints):
     `solution` gets the inverse of the entry on the diagonal.
     """
     j = joints.sequence[place]
-    row = coupling_row(j, i, j, joints.body_a[j], joints)
-    if joints.to_world[j] == 0:
-        row += coupling_row(j, i, j, joints.body_b[j], joints)
+    row = coupling_row(j, i, j, joints.body_a[j], wp.where(joints.to_world[j] == 0, joints.body_b[j], -1), joints)
     entry = diagonal_entry(j, i, row, dt, joints)
     set_row(joints.pivot, j, i, row)
     set_entry(joints.pivot, j, i, i, entry)
     set_component(joints.solution, j, 0, i, wp.where(entry > ZERO, ONE / entry, ZERO))
     for e in range(joints.column[place], joints.column[place + 1]):
-        off = vec6d()
-        if joints.shared[e] >= 0:
-            off += coupling_row(joints.row[e], i, j, joints.shared[e], joints)
-        if joints.shared_too[e] >= 0:
-            off += coupling_row(joints.row[e], i, j, joints.shared_too[e], joints)
-        set_row(joints.lower, e, i, off)
+        k = joints.row[e]
+        set_row(joints.lower, e, i, coupling_row(k, i, j, joints.shared[e], joints.shared_too[e], joints))
 
 
 @wp.func
@@ -171,11 +182,12 @@ def sweep_out(k: int, j: int, team: Team, joints: Joints):
 def invert_without_redundant(j: int, team: Team, joints: Joints):
     """Invert the block of a joint, largest pivots first; zero in rows that are not active or have too small pivots."""
     left = int(joints.active[j])
-    row = largest_pivot(j, left, joints)
+    row = int(0)
     while row >= 0:
-        sweep_out(row, j, team, joints)
-        left = left & ~(1 << row)
         row = largest_pivot(j, left, joints)
+        if row >= 0:
+            sweep_out(row, j, team, joints)
+            left = left & ~(1 << row)
     sync_warp(team.lanes)
     taken = joints.active[j] & ~left
     for i in range(team.lane, 6, team.lanes):

@@ -78,7 +78,7 @@ class Stages:
     """
 
     def __init__(self, arrays: Arrays, pools: Pools, options: StepOptions, watches: Any, workers: int) -> None:
-        """Record the step; `load_kernels` must have been called for `STEP`."""
+        """Record the step; the kernels that the scenes require must be loaded (`World`)."""
         self.model, self.state, self.sleep_state, self.envs = arrays
         self.dt, self.repetitions, self.sleeping, running = options
         self.pools, self.watches, model = pools, watches, self.model
@@ -102,11 +102,8 @@ class Stages:
         optional = (
             (loading.SLEEP, self.sleeping),
             (loading.GROUND, self.has_surface_velocity),
-            (loading.PATHS, layout.sizes["paths"] > 0),
             (loading.CANDIDATES, self.grid.buckets > 0),
-            (loading.HEAPS, self.crowded),
             (loading.WATCH, watches),
-            ((self.joints.kernels,), self.joints.present),
         )
         modules = [module for modules, used in optional if used for module in modules]
         loading.load_kernels(self.device, modules, [self.lanes])

@@ -2,13 +2,14 @@
 
 import time
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 from warp_rigid.checks import one_of, shown, whole_in
 from warp_rigid.engine import pools
 from warp_rigid.engine.batch import Shards, plan
 from warp_rigid.engine.layout import Layout
-from warp_rigid.engine.loading import GRIDS, STEP, load_kernels
+from warp_rigid.engine.loading import GRIDS, HEAPS, JOINTS, PATHS, STEP, load_kernels
 from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
 from warp_rigid.engine.model import Arrays, build_model, initial_environments, initial_state
 from warp_rigid.engine.precision import check_precision
@@ -16,6 +17,7 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.step import StepOptions
 from warp_rigid.engine.teams import team_lanes
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.common.crowd import CROWDED
 from warp_rigid.scene.scene import SURFACE_VELOCITIES
 from warp_rigid.scene.shapes import Compound, Mesh
 
@@ -70,10 +72,9 @@ class World:
         other_bytes = body_bytes(layout.sizes) + shape_bytes(layout)
         needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
         self.memory_limit.check(0, needed, f"simulating {self.num_envs} environment(s)")
-        baking = any(isinstance(shape, Mesh | Compound) for shape in layout.shapes)
         lanes = team_lanes(device, self.num_envs, layout.most_bodies, layout.has_joints)
         start = time.perf_counter()
-        load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes])
+        load_kernels(device, required_by(layout), [lanes])
         self.load_seconds = time.perf_counter() - start
         self.model = build_model(layout, device)
         self.state = initial_state(layout, device)
@@ -101,6 +102,18 @@ class World:
         self.running = self.running or any(array.numpy().any() for array in velocities)
         sleeping = bool(self.envs.sleeping.numpy().any())
         self.shards.choose(StepOptions(self.settings.dt, repetitions, sleeping, self.running))
+
+
+def required_by(layout: Layout) -> list[Any]:
+    """Kernel modules that every step of these scenes requires, and those for distance grids.
+
+    They are compiled at the same time, so the slowest of all come first.
+    """
+    joints = [import_module(JOINTS)] if layout.has_joints else []
+    heaps = HEAPS if layout.most_bodies > CROWDED else ()
+    paths = PATHS if layout.sizes["paths"] > 0 else ()
+    grids = GRIDS if any(isinstance(shape, Mesh | Compound) for shape in layout.shapes) else ()
+    return [*joints, *STEP, *heaps, *paths, *grids]
 
 
 def initial_capacity(layout: Layout, given: Mapping[str, int]) -> dict[str, int]:
