@@ -12,7 +12,8 @@ closest samples do not replace the corners onto which a fast body rotates. In th
 large for slow bodies (UPRIGHT_WEIGHT): a bumpy shape then keeps the samples that support it, and not those around its
 bumps, on which it would rock indefinitely.
 
-A team of lanes processes a pair. All lanes find the patch, and each lane updates its own slots.
+A team of lanes processes a pair. Each lane finds the patch of its own sample. The samples that take a slot are then
+broadcast to all lanes in sample order, and each lane updates its own slots.
 """
 
 import warp as wp
@@ -20,7 +21,7 @@ import warp as wp
 from warp_rigid.kernels.collide.approach import Touch
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.common.tangents import tangent_of
-from warp_rigid.kernels.common.team import ballot, bits_below, sync_warp
+from warp_rigid.kernels.common.team import ballot, bits_below, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.schema import EXTREME_DIRECTIONS, PATCH_SLOTS, PATCHES, Pairs, SlotRecord
 from warp_rigid.kernels.tuning import (
     COMES_NEAR,
@@ -73,9 +74,26 @@ def ranking_of(way: float, turn: float, size: float, solid: bool):
     return result
 
 
+@wp.struct
+class Offer:
+    """A touching sample that is offered to the slots of its patch.
+
+    `place`: its place among the near samples. `patch`: -1 for a sample that does not touch. `x`, `y`: its place in the
+    tangent plane of the patch [m]. `loaded`: 1 if a load points along x. `gap`, `left`: as in `Touch`.
+    """
+
+    place: int
+    patch: int
+    x: float
+    y: float
+    loaded: int
+    gap: float
+    left: float
+
+
 @wp.func
-def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
-    """The patch with a similar normal, or a new one, or the most similar one if all are in use. Runs in all lanes."""
+def nearest_patch(pair: int, normal: wp.vec3, pairs: Pairs):
+    """The patch with the most similar normal; -1 if that is not similar, and there may be one patch more."""
     count = pairs.patch_count[pair]
     best = int(0)
     likeness = float(-2.0)
@@ -85,15 +103,46 @@ def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
             likeness = c
             best = p
     if likeness < SAME_PATCH and count < MOST_PATCHES:
-        best = count
-        sync_warp(lanes)
-        if lane == 0:
-            pairs.patch_count[pair] = count + 1
-            pairs.patch_normal[pair, count] = normal
-        for k in range(lane, SLOTS, lanes):
-            pairs.slots[pair, count * SLOTS + k].place = -1
-        sync_warp(lanes)
+        return -1
     return best
+
+
+@wp.func
+def add_patch(pair: int, normal: wp.vec3, pairs: Pairs):
+    """Add a patch with a normal and empty slots. Returns it."""
+    count = pairs.patch_count[pair]
+    pairs.patch_count[pair] = count + 1
+    pairs.patch_normal[pair, count] = normal
+    for k in range(SLOTS):
+        pairs.slots[pair, count * SLOTS + k].place = -1
+    return count
+
+
+@wp.func
+def patch_for(pair: int, touch: Touch, lane: int, lanes: int, pairs: Pairs):
+    """The patch of each lane's sample, as if the lanes chose theirs one after another; -1 if it does not touch.
+
+    A sample that is like no patch adds one. The lanes before it have chosen among the patches without this one.
+    """
+    result = int(-1)
+    waiting = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
+    while waiting != wp.uint32(0):
+        waits = (waiting >> wp.uint32(lane)) & wp.uint32(1)
+        patch = int(0)
+        if waits == wp.uint32(1):
+            patch = nearest_patch(pair, touch.normal, pairs)
+        adding = ballot(wp.where(patch < 0, 1, 0), lanes)
+        adds = lanes
+        if adding != wp.uint32(0):
+            adds = lowest_bit(adding)
+        if lane == adds:
+            patch = add_patch(pair, touch.normal, pairs)
+        if waits == wp.uint32(1) and lane <= adds:
+            result = patch
+            waits = wp.uint32(0)
+        sync_warp(lanes)
+        waiting = ballot(int(waits), lanes)
+    return result
 
 
 @wp.func
@@ -144,40 +193,95 @@ def extent_under_load(k: int, x: float, y: float):
 
 
 @wp.func
-def offer_sample(
-    pair: int,
-    place: int,
-    touch: Touch,
-    ranking: Ranking,
-    size: float,
-    lane: int,
-    lanes: int,
-    pairs: Pairs,
+def offer_of(pair: int, place: int, touch: Touch, ranking: Ranking, lane: int, lanes: int, pairs: Pairs):
+    """The offer of each lane's sample, which is in the second body's frame."""
+    offer = Offer()
+    offer.place = place
+    offer.gap = touch.gap
+    offer.left = touch.left
+    offer.patch = patch_for(pair, touch, lane, lanes, pairs)
+    if offer.patch >= 0:
+        n = pairs.patch_normal[pair, offer.patch]
+        u = tangent_along(ranking.load, n)
+        offer.loaded = wp.where(wp.length_sq(u) > 0.0, 1, 0)
+        if offer.loaded == 0:
+            u = tangent_of(n)
+        offer.x = wp.dot(touch.position, u)
+        offer.y = wp.dot(touch.position, wp.cross(n, u))
+    return offer
+
+
+@wp.func
+def weight_in(k: int, ranking: Ranking):
+    """Weight of a gap in a slot; in that of the deepest sample the scale of the score."""
+    if k == DIRECTIONS:
+        return 1.0
+    return wp.where(k % 2 == 0, ranking.upright, ranking.tipped)
+
+
+@wp.func
+def score_in(k: int, offer: Offer, ranking: Ranking):
+    """Score of a sample in a slot [m]."""
+    if k == DIRECTIONS:
+        return -offer.left
+    gap = wp.max(offer.gap, -ranking.deepest)
+    if offer.left < COMES_NEAR * offer.gap:
+        gap = wp.min(gap, ranking.furthest)
+    reach = extent(k, offer.x, offer.y)
+    if offer.loaded == 1:
+        reach = extent_under_load(k, offer.x, offer.y)
+    return reach - weight_in(k, ranking) * gap
+
+
+@wp.func
+def takes_slot(pair: int, k: int, offer: Offer, ranking: Ranking, size: float, pairs: Pairs):
+    """Whether a sample replaces the one in a slot of its patch."""
+    best = pairs.slots[pair, offer.patch * SLOTS + k]
+    return best.place < 0 or score_in(k, offer, ranking) > best.score + TIE * size * weight_in(k, ranking)
+
+
+@wp.func
+def takes_any_slot(pair: int, offer: Offer, ranking: Ranking, size: float, pairs: Pairs):
+    """Whether a sample replaces one in any slot of its patch."""
+    if offer.patch >= 0:
+        for k in range(SLOTS):
+            if takes_slot(pair, k, offer, ranking, size, pairs):
+                return True
+    return False
+
+
+@wp.func
+def broadcast_offer(offer: Offer, lane: int, lanes: int):
+    """The offer of one lane, broadcast to the whole team."""
+    result = Offer()
+    result.place = broadcast_integer(offer.place, lane, lanes)
+    result.patch = broadcast_integer(offer.patch, lane, lanes)
+    result.x = broadcast(offer.x, lane, lanes)
+    result.y = broadcast(offer.y, lane, lanes)
+    result.loaded = broadcast_integer(offer.loaded, lane, lanes)
+    result.gap = broadcast(offer.gap, lane, lanes)
+    result.left = broadcast(offer.left, lane, lanes)
+    return result
+
+
+@wp.func
+def offer_samples(
+    pair: int, place: int, touch: Touch, ranking: Ranking, size: float, lane: int, lanes: int, pairs: Pairs
 ):
-    """Offer a touching sample, in the second body's frame, to the slots of its patch; a lane updates its own slots."""
-    patch = patch_for(pair, touch.normal, lane, lanes, pairs)
-    n = pairs.patch_normal[pair, patch]
-    u = tangent_along(ranking.load, n)
-    loaded = wp.length_sq(u) > 0.0
-    if not loaded:
-        u = tangent_of(n)
-    x = wp.dot(touch.position, u)
-    y = wp.dot(touch.position, wp.cross(n, u))
-    for k in range(lane, SLOTS, lanes):
-        counts = float(1.0)
-        score = -touch.left
-        if k < DIRECTIONS:
-            counts = wp.where(k % 2 == 0, ranking.upright, ranking.tipped)
-            gap = wp.max(touch.gap, -ranking.deepest)
-            if touch.left < COMES_NEAR * touch.gap:
-                gap = wp.min(gap, ranking.furthest)
-            if loaded:
-                score = extent_under_load(k, x, y) - counts * gap
-            else:
-                score = extent(k, x, y) - counts * gap
-        best = pairs.slots[pair, patch * SLOTS + k]
-        if best.place < 0 or score > best.score + TIE * size * counts:
-            pairs.slots[pair, patch * SLOTS + k] = SlotRecord(place, score, touch.gap, touch.left)
+    """Offer the samples of all lanes to the slots of their patches, in the order of the lanes.
+
+    Scores in the slots only grow, so a sample that takes no slot now need not be offered.
+    """
+    offer = offer_of(pair, place, touch, ranking, lane, lanes, pairs)
+    hits = ballot(wp.where(takes_any_slot(pair, offer, ranking, size, pairs), 1, 0), lanes)
+    while hits != wp.uint32(0):
+        next = broadcast_offer(offer, lowest_bit(hits), lanes)
+        hits = hits & (hits - wp.uint32(1))
+        for k in range(lane, SLOTS, lanes):
+            if takes_slot(pair, k, next, ranking, size, pairs):
+                score = score_in(k, next, ranking)
+                pairs.slots[pair, next.patch * SLOTS + k] = SlotRecord(next.place, score, next.gap, next.left)
+    sync_warp(lanes)
 
 
 @wp.func

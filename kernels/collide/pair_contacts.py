@@ -10,8 +10,7 @@ direction, as long as samples that are no contacts are inside (parting.py). If t
 the largest ball inside one body, which overlaps the other body only if the bodies overlap. It also replaces contacts
 that show less than a third of its overlap.
 
-A team of lanes processes a pair. Touching samples are broadcast to all lanes in sample order, and each lane updates its
-own slots.
+A team of lanes processes a pair.
 """
 
 import warp as wp
@@ -22,7 +21,7 @@ from warp_rigid.kernels.collide.contact_reduction import (
     contradictory,
     deepest_gap,
     keep_slots,
-    offer_sample,
+    offer_samples,
     ranking_of,
 )
 from warp_rigid.kernels.collide.contact_search import Search, gradient
@@ -34,7 +33,7 @@ from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, deepest_hidden, way_out
 from warp_rigid.kernels.collide.samples import MUCH_DEEPER
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
-from warp_rigid.kernels.common.team import MOST_REGISTERS, ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
+from warp_rigid.kernels.common.team import MOST_REGISTERS, ballot, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.tuning import CONTACT_DISTANCE, REUSE_TRAVEL
@@ -53,18 +52,6 @@ MOST_KEPT = wp.constant(PAIR_SLOTS)
 
 
 @wp.func
-def broadcast_touch(touch: Touch, lane: int, lanes: int):
-    """The contact point of one lane, broadcast to the whole team."""
-    result = Touch()
-    for i in range(3):
-        result.position[i] = broadcast(touch.position[i], lane, lanes)
-        result.normal[i] = broadcast(touch.normal[i], lane, lanes)
-    result.gap = broadcast(touch.gap, lane, lanes)
-    result.left = broadcast(touch.left, lane, lanes)
-    return result
-
-
-@wp.func
 def touch_at(k: int, end: int, b: int, state: State, near: NearSamples):
     """The contact point of a near sample in the frame of body b.
 
@@ -80,19 +67,6 @@ def touch_at(k: int, end: int, b: int, state: State, near: NearSamples):
         if touch.closing != CROSSED:
             touch.gap = near.gap[k]
     return touch
-
-
-@wp.func
-def offer_touches(
-    pair: int, place: int, touch: Touch, ranking: Ranking, size: float, lane: int, lanes: int, pairs: Pairs
-):
-    """Offer the contact points of all lanes to the slots of their patches, in the order of the lanes."""
-    hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
-    while hits != wp.uint32(0):
-        k = lowest_bit(hits)
-        hits = hits & (hits - wp.uint32(1))
-        hit = broadcast_touch(touch, k, lanes)
-        offer_sample(pair, broadcast_integer(place, k, lanes), hit, ranking, size, lane, lanes, pairs)
 
 
 @wp.func
@@ -250,7 +224,7 @@ def offer_near_samples(
         for start in range(batch, end, lanes):
             touch = touch_at(start + lane, end, pairs.body_b[pair], state, near)
             closing |= touch.closing
-            offer_touches(pair, start + lane, touch, ranking, size, lane, lanes, pairs)
+            offer_samples(pair, start + lane, touch, ranking, size, lane, lanes, pairs)
         batch = near.next[batch]
     crossed = wp.where(ballot(closing & CROSSED, lanes) == wp.uint32(0), 0, CROSSED)
     return crossed + wp.where(ballot(closing & 1, lanes) == wp.uint32(0), 0, 1)
