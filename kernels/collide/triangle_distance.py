@@ -245,9 +245,8 @@ def triangle_distance(
                 return wp.vec4(normal[0], normal[1], normal[2], wp.dot(normal, best.offset))
             inside = sign < 0.0 or wp.dot(best.offset, normal) < 0.0
             sign = wp.where(inside, -1.0, 1.0)
-        stage = wp.where(
-            stage == LIKELY and found.triangle < 0, ALL, wp.where(stage == LOOK_OPPOSING, LOOK_DONE, LOOK_OPPOSING)
-        )
+        is_missed = stage == LIKELY and found.triangle < 0 and radius < within
+        stage = wp.where(is_missed, ALL, wp.where(stage == LOOK_OPPOSING, LOOK_DONE, LOOK_OPPOSING))
         radius = within
         if stage == LOOK_OPPOSING:
             asked = facing
