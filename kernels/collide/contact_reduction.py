@@ -243,10 +243,9 @@ def takes_slot(pair: int, k: int, offer: Offer, ranking: Ranking, size: float, p
 @wp.func
 def takes_any_slot(pair: int, offer: Offer, ranking: Ranking, size: float, pairs: Pairs):
     """Whether a sample replaces one in any slot of its patch."""
-    if offer.patch >= 0:
-        for k in range(SLOTS):
-            if takes_slot(pair, k, offer, ranking, size, pairs):
-                return True
+    for k in range(SLOTS):
+        if takes_slot(pair, k, offer, ranking, size, pairs):
+            return True
     return False
 
 
@@ -270,10 +269,14 @@ def offer_samples(
 ):
     """Offer the samples of all lanes to the slots of their patches, in the order of the lanes.
 
-    Scores in the slots only grow, so a sample that takes no slot now need not be offered.
+    Scores in the slots only grow, so a sample that takes no slot now need not be offered. A single lane does not test
+    this first.
     """
     offer = offer_of(pair, place, touch, ranking, lane, lanes, pairs)
-    hits = ballot(wp.where(takes_any_slot(pair, offer, ranking, size, pairs), 1, 0), lanes)
+    offers = offer.patch >= 0
+    if offers and lanes > 1:
+        offers = takes_any_slot(pair, offer, ranking, size, pairs)
+    hits = ballot(wp.where(offers, 1, 0), lanes)
     while hits != wp.uint32(0):
         next = broadcast_offer(offer, lowest_bit(hits), lanes)
         hits = hits & (hits - wp.uint32(1))

@@ -70,5 +70,5 @@ def search_lanes(many_samples: bool, crowded: bool) -> tuple[int, int]:
         crowded: whether an environment has many bodies.
     """
     if many_samples:
-        return WARP, 8
+        return WARP, 16
     return 4, 4 if crowded else 1
