@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 import warp as wp
 
+from warp_rigid import Simulator, scenes
 from warp_rigid.bench.startup import KERNELS, first_frame, start_up
-from warp_rigid.engine.loading import STEP, units_of
+from warp_rigid.engine import world
+from warp_rigid.engine.loading import JOINTS, STEP, units_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -111,6 +113,15 @@ def test_kernels_that_are_needed_rarely_are_loaded_when_they_are_needed(device):
     at_first, with_sleep, (depth, asleep), at_last = json.loads(done.stdout.splitlines()[-1])
     assert at_first == [False, False] and with_sleep == [False, True] and at_last == [True, True]
     assert 0.0 <= depth < 2e-4 and asleep
+
+
+def test_kernels_of_joints_are_compiled_beside_the_others(monkeypatch):
+    """They take longest, so they come first. In a second call they would wait for all others."""
+    calls = []
+    monkeypatch.setattr(world, "load_kernels", lambda device, modules, lanes: calls.append(list(modules)))
+    Simulator(scenes.load("chain"), device="cpu")
+    assert [call[0].__name__ for call in calls] == [JOINTS]
+    assert set(STEP) < set(calls[0])
 
 
 EACH = """
