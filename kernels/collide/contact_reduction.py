@@ -78,8 +78,8 @@ def ranking_of(way: float, turn: float, size: float, solid: bool):
 class Offer:
     """A touching sample that is offered to the slots of its patch.
 
-    `place`: its place among the near samples. `patch`: -1 for a sample that does not touch. `x`, `y`: its place in the
-    tangent plane of the patch [m]. `loaded`: 1 if a load points along x. `gap`, `left`: as in `Touch`.
+    `place`: its place among the near samples. `patch`: -1 for a sample that does not touch. `x`, `y`: coordinates in
+    the tangent plane of the patch [m]. `loaded`: 1 if a load points along x. `gap`, `left`: as in `Touch`.
     """
 
     place: int
@@ -93,7 +93,7 @@ class Offer:
 
 @wp.func
 def nearest_patch(pair: int, normal: wp.vec3, pairs: Pairs):
-    """The patch with the most similar normal; -1 if that is not similar, and there may be one patch more."""
+    """The patch with the most similar normal; -1 if none is similar enough and another patch can be added."""
     count = pairs.patch_count[pair]
     best = int(0)
     likeness = float(-2.0)
@@ -132,12 +132,12 @@ def patch_for(pair: int, touch: Touch, lane: int, lanes: int, pairs: Pairs):
         if waits == wp.uint32(1):
             patch = nearest_patch(pair, touch.normal, pairs)
         adding = ballot(wp.where(patch < 0, 1, 0), lanes)
-        adds = lanes
+        adder = lanes
         if adding != wp.uint32(0):
-            adds = lowest_bit(adding)
-        if lane == adds:
+            adder = lowest_bit(adding)
+        if lane == adder:
             patch = add_patch(pair, touch.normal, pairs)
-        if waits == wp.uint32(1) and lane <= adds:
+        if waits == wp.uint32(1) and lane <= adder:
             result = patch
             waits = wp.uint32(0)
         sync_warp(lanes)
@@ -213,7 +213,7 @@ def offer_of(pair: int, place: int, touch: Touch, ranking: Ranking, lane: int, l
 
 @wp.func
 def weight_in(k: int, ranking: Ranking):
-    """Weight of a gap in a slot; in that of the deepest sample the scale of the score."""
+    """Weight of a gap in a slot; 1 for the slot of the deepest sample, whose score is a gap."""
     if k == DIRECTIONS:
         return 1.0
     return wp.where(k % 2 == 0, ranking.upright, ranking.tipped)
@@ -234,17 +234,17 @@ def score_in(k: int, offer: Offer, ranking: Ranking):
 
 
 @wp.func
-def takes_slot(pair: int, k: int, offer: Offer, ranking: Ranking, size: float, pairs: Pairs):
-    """Whether a sample replaces the one in a slot of its patch."""
+def takes_slot(pair: int, k: int, offer: Offer, score: float, ranking: Ranking, size: float, pairs: Pairs):
+    """Whether a sample with a score replaces the one in a slot of its patch."""
     best = pairs.slots[pair, offer.patch * SLOTS + k]
-    return best.place < 0 or score_in(k, offer, ranking) > best.score + TIE * size * weight_in(k, ranking)
+    return best.place < 0 or score > best.score + TIE * size * weight_in(k, ranking)
 
 
 @wp.func
 def takes_any_slot(pair: int, offer: Offer, ranking: Ranking, size: float, pairs: Pairs):
     """Whether a sample replaces one in any slot of its patch."""
     for k in range(SLOTS):
-        if takes_slot(pair, k, offer, ranking, size, pairs):
+        if takes_slot(pair, k, offer, score_in(k, offer, ranking), ranking, size, pairs):
             return True
     return False
 
@@ -278,12 +278,13 @@ def offer_samples(
         offers = takes_any_slot(pair, offer, ranking, size, pairs)
     hits = ballot(wp.where(offers, 1, 0), lanes)
     while hits != wp.uint32(0):
-        next = broadcast_offer(offer, lowest_bit(hits), lanes)
+        offered = broadcast_offer(offer, lowest_bit(hits), lanes)
         hits = hits & (hits - wp.uint32(1))
         for k in range(lane, SLOTS, lanes):
-            if takes_slot(pair, k, next, ranking, size, pairs):
-                score = score_in(k, next, ranking)
-                pairs.slots[pair, next.patch * SLOTS + k] = SlotRecord(next.place, score, next.gap, next.left)
+            score = score_in(k, offered, ranking)
+            if takes_slot(pair, k, offered, score, ranking, size, pairs):
+                slot = SlotRecord(offered.place, score, offered.gap, offered.left)
+                pairs.slots[pair, offered.patch * SLOTS + k] = slot
     sync_warp(lanes)
 
 

@@ -31,8 +31,8 @@ TRACE_ROUNDS = wp.constant(64)
 """Maximum rounds of a trace; a trace that needs more counts as touching at the point reached."""
 
 BALL_ROUNDS = wp.constant(8)
-"""As TRACE_ROUNDS, for bounding spheres. In a pile of bunnies, 99 of 100 need fewer; the others move along a surface,
-and are done sooner if their samples are tested."""
+"""As TRACE_ROUNDS, for a bounding sphere and a mesh. In a pile of bunnies, 99 of 100 need fewer. The others move along
+a surface, and count as touching at the point reached, so that their samples are tested from there on."""
 
 
 EDGE_ROUNDS = wp.constant(4)
@@ -101,7 +101,8 @@ def trace(
 ):
     """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`.
 
-    With a `slack` other than zero, the distance to a mesh is that of its grid, which may be that much too large.
+    With a `slack` other than zero, which is that of a bounding sphere, the distance to a mesh is that of its grid, and
+    may be that much too large; BALL_ROUNDS limits the rounds.
     """
     other_spin = wp.length(other.angular)
     away = wp.length(own.center + arm - other.center)

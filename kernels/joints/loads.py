@@ -223,8 +223,8 @@ def wrench(arm: wp.vec3, direction: wp.vec3):
 def inverse_masses(responses: wp.array[mat66d], b: int, arm: wp.vec3, n: wp.vec3, u: wp.vec3):
     """Inverse effective masses at a contact: normal, both couplings, then the tangential entries 11, 12 and 22.
 
-    This function, `inverse_cross_masses` and `solve_rolling` are called: inlined, they make the compilation for a GPU
-    1.3 times as long.
+    This function, `inverse_cross_masses` and `solve_rolling` are not inlined, which would make the compilation for a
+    GPU 1.3 times as long.
     """
     along_n = wrench(arm, n)
     along_u = wrench(arm, u)

@@ -139,7 +139,7 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
     number of substeps is therefore increased until the energy is conserved. If the maximum is not enough, the
     angular velocity is taken as constant.
 
-    It is called: inlined, it makes the compilation of kernels of joints for a GPU 1.4 times as long.
+    It is not inlined, which would make the compilation of kernels of joints for a GPU 1.4 times as long.
     """
     inverse = wp.inverse(inertia)
     r = wp.quat_to_matrix(turn)

@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_rigid.checks import shown, whole_in
 from warp_rigid.engine import joints
+from warp_rigid.kernels.common.crowd import CROWDED
 from warp_rigid.scene.body_columns import is_dynamic, shapes_of
 from warp_rigid.scene.look import check_looks
 from warp_rigid.scene.scene import Body, Scene
@@ -68,6 +69,11 @@ class Layout:
     def most_bodies(self) -> int:
         """Number of bodies of the largest environment."""
         return int(self.bodies_per_env.max())
+
+    @property
+    def is_crowded(self) -> bool:
+        """Whether the largest environment may have islands that are solved in rounds."""
+        return self.most_bodies > CROWDED
 
     @cached_property
     def has_many_samples(self) -> bool:

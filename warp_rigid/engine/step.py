@@ -17,7 +17,7 @@ from warp_rigid.engine.pools import CONTACTS, NEAR_SAMPLES, PAIRS, Pools
 from warp_rigid.engine.step_parts import StepParts, useful_workers
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
-from warp_rigid.kernels.common import capacity, crowd
+from warp_rigid.kernels.common import capacity
 from warp_rigid.kernels.constraints import build_contacts
 from warp_rigid.kernels.enums import IslandSolver, SolverPart
 from warp_rigid.kernels.graph import coloring, islands, support
@@ -89,7 +89,7 @@ class Stages:
         layout = model.layout
         self.num_envs, self.rows = layout.num_envs, layout.sizes["bodies"]
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
-        self.crowded = layout.most_bodies > crowd.CROWDED
+        self.crowded = layout.is_crowded
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies, layout.has_joints)
         self.listing_lanes, self.choosing_lanes = teams.search_lanes(layout.has_many_samples, self.crowded)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
@@ -102,6 +102,7 @@ class Stages:
         optional = (
             (loading.SLEEP, self.sleeping),
             (loading.GROUND, self.has_surface_velocity),
+            (loading.PATHS, layout.sizes["paths"] > 0),
             (loading.CANDIDATES, self.grid.buckets > 0),
             (loading.WATCH, watches),
         )

@@ -9,7 +9,7 @@ from warp_rigid.checks import one_of, shown, whole_in
 from warp_rigid.engine import pools
 from warp_rigid.engine.batch import Shards, plan
 from warp_rigid.engine.layout import Layout
-from warp_rigid.engine.loading import GRIDS, HEAPS, JOINTS, PATHS, STEP, load_kernels
+from warp_rigid.engine.loading import GRIDS, HEAPS, JOINTS, STEP, load_kernels
 from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
 from warp_rigid.engine.model import Arrays, build_model, initial_environments, initial_state
 from warp_rigid.engine.precision import check_precision
@@ -17,7 +17,6 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.step import StepOptions
 from warp_rigid.engine.teams import team_lanes
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.common.crowd import CROWDED
 from warp_rigid.scene.scene import SURFACE_VELOCITIES
 from warp_rigid.scene.shapes import Compound, Mesh
 
@@ -105,15 +104,14 @@ class World:
 
 
 def required_by(layout: Layout) -> list[Any]:
-    """Kernel modules that every step of these scenes requires, and those for distance grids.
+    """Kernel modules that take long to compile, as far as these scenes require them, and those of every step.
 
-    They are compiled at the same time, so the slowest of all come first.
+    They are compiled at the same time, the slowest first. `Stages` loads the others.
     """
     joints = [import_module(JOINTS)] if layout.has_joints else []
-    heaps = HEAPS if layout.most_bodies > CROWDED else ()
-    paths = PATHS if layout.sizes["paths"] > 0 else ()
+    heaps = HEAPS if layout.is_crowded else ()
     grids = GRIDS if any(isinstance(shape, Mesh | Compound) for shape in layout.shapes) else ()
-    return [*joints, *STEP, *heaps, *paths, *grids]
+    return [*joints, *STEP, *heaps, *grids]
 
 
 def initial_capacity(layout: Layout, given: Mapping[str, int]) -> dict[str, int]:
