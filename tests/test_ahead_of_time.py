@@ -98,7 +98,7 @@ def test_every_stage_of_a_step_is_among_the_compiled():
     """The modules that a step uses are those of the test above, and the borrowed kernels lie in a unit of theirs."""
     used = {name for name, value in vars(step).items() if value in MODULES.values()}
     without_kernels = {name for name in used if not kernels_of(name)}
-    assert without_kernels == {"crowd", "declare", "pair_contacts", "schema", "touches"}
+    assert without_kernels == {"declare", "pair_contacts", "schema", "touches"}
     loaded = {module.__name__.rpartition(".")[2] for module in loading.everything()}
     assert used - without_kernels <= loaded
     assert {name for name in NAMES if kernels_of(name)} - loaded == {"host_distance", "probe"}, "compiled on first use"
