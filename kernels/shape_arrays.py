@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.declare import Field, Lifetime, layout, record
+from warp_rigid.kernels.declare import Field, Lifetime, layout, packed_record, record, record_reader
 
 PartRecord = record(
     "PartRecord",
@@ -21,23 +21,27 @@ PartRecord = record(
     surface_end=Field(int, "", "", "one past the last, also if it has none"),
 )
 
-TreeRecord = record(
+MOST_OF_LEAF = wp.constant(8)
+"""Triangles of a leaf are fewer than this number, so that one integer holds the first one and their number."""
+
+TreeRecord = packed_record(
     "TreeRecord",
     "A node of a tree of triangles, stored depth first.",
     lower=Field(wp.vec3, "", "m", "lower corner of the box around its triangles, in the part's frame"),
-    upper=Field(wp.vec3, "", "m", "upper corner of the box"),
     skip=Field(int, "", "", "node that follows its subtree"),
-    triangle_start=Field(int, "", "", "first triangle of a leaf; 0 for other nodes"),
-    triangle_end=Field(int, "", "", "one past the last; 0 for other nodes"),
+    upper=Field(wp.vec3, "", "m", "upper corner of the box"),
+    leaf=Field(int, "", "", "first triangle of a leaf, times MOST_OF_LEAF, plus their number, which is 0 for other nodes"),
 )
 
-TriangleRecord = record(
+TriangleRecord = packed_record(
     "TriangleRecord",
     "A triangle of a mesh, with the normals that give the sign of a distance.",
     corner_0=Field(wp.vec3, "", "m", "first corner, in the part's frame"),
+    normal_x=Field(float, "", "", "first component of the outward unit normal"),
     corner_1=Field(wp.vec3, "", "m", "second corner"),
+    normal_y=Field(float, "", "", "second component"),
     corner_2=Field(wp.vec3, "", "m", "third corner"),
-    normal=Field(wp.vec3, "", "", "outward unit normal"),
+    normal_z=Field(float, "", "", "third component"),
     side_0=Field(wp.vec3, "", "", "mean of the normals at the side between the first and second corner"),
     side_1=Field(wp.vec3, "", "", "the same, second and third corner"),
     side_2=Field(wp.vec3, "", "", "the same, third and first corner"),
@@ -46,7 +50,7 @@ TriangleRecord = record(
     vertex_2=Field(wp.vec3, "", "", "the same at the third corner"),
 )
 
-ClusterRecord = record(
+ClusterRecord = packed_record(
     "ClusterRecord",
     "A few neighbouring samples and their bounding sphere.",
     center=Field(wp.vec3, "", "m", "centre of the sphere, in the shape's frame"),
@@ -56,16 +60,16 @@ ClusterRecord = record(
     sample_end=Field(int, "", "", "one past the last"),
 )
 
-SampleRecord = record(
+SampleRecord = packed_record(
     "SampleRecord",
     "A surface point, edge segment, rim or arc of a rim that is tested against other bodies.",
     point=Field(wp.vec3, "", "m", "position in the shape's frame"),
-    normal=Field(wp.vec3, "", "", "outward unit normal; zero for the centre of a sphere"),
+    radius=Field(float, "", "m", "radius of a sphere around the sample, or of a rim"),
     slide=Field(
         wp.vec3, "", "m", "half of an edge segment, from its middle to its end, or of an arc along it; zero for others"
     ),
-    radius=Field(float, "", "m", "radius of a sphere around the sample, or of a rim"),
     kind=Field(int, "", "", "a SampleKind"),
+    normal=Field(wp.vec3, "", "", "outward unit normal; zero for the centre of a sphere"),
     choice=Field(int, "", "", "of a ball on a mesh: the place that it stands for, from 1; 0: the nearest place"),
     edge_start=Field(int, "", "", "first unsampled edge at a point of a mesh"),
     edge_end=Field(int, "", "", "one past the last"),
@@ -110,3 +114,8 @@ Shapes = layout(
     tree=Field(TreeRecord, "tree_nodes", "", "trees of the triangles of meshes"),
     triangles=Field(TriangleRecord, "triangles", "", "triangles of meshes, in the order of the leaves"),
 )
+
+read_node = record_reader(TreeRecord)
+read_triangle = record_reader(TriangleRecord)
+read_cluster = record_reader(ClusterRecord)
+read_sample = record_reader(SampleRecord)

@@ -45,7 +45,7 @@ from warp_rigid.kernels.collide.trace import (
 )
 from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.common.symmetry import BALL, spin_of_surface, symmetry_of
-from warp_rigid.kernels.common.team import next_place
+from warp_rigid.kernels.common.team import MOST_REGISTERS, next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.tuning import ALLOWED_DEPTH, FAST_TRAVEL, LEFT_OF_DEPTH
@@ -343,7 +343,7 @@ def list_reached(
                 suspects.reached[place / 2, place % 2] = 2 * task.pair + task.side
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=MOST_REGISTERS)
 def list_clusters(
     teams: int,
     lanes: int,
@@ -371,7 +371,7 @@ def list_clusters(
                     suspects.cluster_begin[place] = begin
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=MOST_REGISTERS)
 def list_suspects(
     which: int,
     teams: int,

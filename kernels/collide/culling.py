@@ -13,6 +13,7 @@ from warp_rigid.kernels.collide.distance import has_places, has_triangles, is_ne
 from warp_rigid.kernels.collide.edge_search import OVERLAP
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.shape_arrays import read_cluster, read_sample
 from warp_rigid.kernels.tuning import TURNED_BACK
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -93,12 +94,13 @@ def may_touch_mesh(p: wp.vec3, radius: float, approach: Approach, shapes: Shapes
 @wp.func
 def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
     """Whether a cluster may contain a touching sample."""
-    if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
+    known = read_cluster(cluster, shapes.clusters)
+    if not matters(known.kind, approach.own_shape, approach.shape, edges, shapes):
         return 0
-    if wp.dot(approach.cut, shapes.clusters[cluster].center) - shapes.clusters[cluster].radius > approach.level:
+    radius = known.radius
+    if wp.dot(approach.cut, known.center) - radius > approach.level:
         return 0
-    center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
-    radius = shapes.clusters[cluster].radius
+    center = wp.quat_rotate(approach.turn, known.center) + approach.shift
     if out_of_box(center, radius + approach.searched, approach.shape, shapes):
         return 0
     if has_triangles(shapes, approach.shape):
@@ -112,16 +114,16 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
 
     The distance to a mesh is slow, so bounds from its grid are tested, too.
     """
-    kind = shapes.samples[s].kind
-    if kind == SampleKind.RIM and shapes.shapes[approach.shape].convex == 0:
+    sample = read_sample(s, shapes.samples)
+    if sample.kind == SampleKind.RIM and shapes.shapes[approach.shape].convex == 0:
         return False
-    lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
-    if lowest - shapes.samples[s].radius > approach.level:
+    lowest = wp.dot(approach.cut, sample.point) - wp.abs(wp.dot(approach.cut, sample.slide))
+    if lowest - sample.radius > approach.level:
         return False
-    p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
-    margin = approach.searched + shapes.samples[s].radius
-    if is_segment(kind):
-        slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
+    p = wp.quat_rotate(approach.turn, sample.point) + approach.shift
+    margin = approach.searched + sample.radius
+    if is_segment(sample.kind):
+        slide = OVERLAP * wp.quat_rotate(approach.turn, sample.slide)
         margin += border_of(approach.own_shape, approach.shape, shapes)
         if not segment_meets_box(p, slide, margin, approach.shape, shapes):
             return False

@@ -39,6 +39,7 @@ from warp_rigid.kernels.common.team import (
     take_together,
 )
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.shape_arrays import read_cluster
 from warp_rigid.kernels.tuning import REUSE_TRAVEL
 from warp_rigid.kernels.update.predict import smaller_size
 
@@ -217,8 +218,9 @@ def list_cluster(
     near: NearSamples,
 ):
     """List the near samples of a cluster."""
-    end = shapes.clusters[cluster].sample_end
-    for start in range(shapes.clusters[cluster].sample_start, end, lanes):
+    listed = read_cluster(cluster, shapes.clusters)
+    end = listed.sample_end
+    for start in range(listed.sample_start, end, lanes):
         s = start + lane
         hit = int(0)
         if s < end and sample_is_near(s, approach, shapes):

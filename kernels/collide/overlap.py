@@ -20,8 +20,10 @@ from warp_rigid.kernels.collide.deepest_point import (
 )
 from warp_rigid.kernels.collide.distance import FAR, GRID_ERROR, analytic_distance
 from warp_rigid.kernels.collide.height_distance import node
+from warp_rigid.kernels.collide.triangle_distance import triangles_of
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Bodies, Pairs, Shapes, State
+from warp_rigid.kernels.shape_arrays import read_node, read_triangle
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -114,17 +116,18 @@ def search_mesh(shapes: Shapes, view: View, lane: int, lanes: int, env: int, dee
     """Search the triangles of a mesh that a team of lanes shares."""
     at = shapes.parts[view.part].tree_start
     while at < shapes.parts[view.part].surface_end:
-        lower = shapes.tree[at].lower
-        upper = shapes.tree[at].upper
-        if may_be_deeper(shapes, view, 0.5 * (lower + upper), 0.5 * wp.length(upper - lower), deepest[env, 0]):
-            for t in range(shapes.tree[at].triangle_start, shapes.tree[at].triangle_end):
+        box = read_node(at, shapes.tree)
+        middle = 0.5 * (box.lower + box.upper)
+        if may_be_deeper(shapes, view, middle, 0.5 * wp.length(box.upper - box.lower), deepest[env, 0]):
+            first, end = triangles_of(box.leaf)
+            for t in range(first, end):
                 if t % lanes == lane:
-                    triangle = shapes.triangles[t]
+                    triangle = read_triangle(t, shapes.triangles)
                     facet = make_facet(triangle.corner_0, triangle.corner_1, triangle.corner_2)
                     search_facet(shapes, view, facet, env, deepest)
             at += 1
         else:
-            at = shapes.tree[at].skip
+            at = box.skip
 
 
 @wp.func

@@ -29,7 +29,8 @@ from warp_rigid.kernels.collide.edge_search import (
 )
 from warp_rigid.kernels.collide.slide import SLIDE_END, begin_slides, may_slide, next_slide, slide_next
 from warp_rigid.kernels.enums import PartKind, SampleKind
-from warp_rigid.kernels.schema import RIM_ARCS, Shapes
+from warp_rigid.kernels.schema import RIM_ARCS, SampleRecord, Shapes
+from warp_rigid.kernels.shape_arrays import read_sample
 from warp_rigid.kernels.tuning import RIM_FLAT, RIM_LEAN
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -167,7 +168,7 @@ def clip_to_grid(search: Search, shapes: Shapes, shape: int):
 
 
 @wp.func
-def begin_search(s: int, approach: Approach, weight: float, shapes: Shapes):
+def begin_search(sample: SampleRecord, approach: Approach, weight: float, shapes: Shapes):
     """Start the search of a sample.
 
     The distance at an edge's middle is used for culling; for a convex shape, the distances at its ends are enough.
@@ -175,12 +176,12 @@ def begin_search(s: int, approach: Approach, weight: float, shapes: Shapes):
     turn = approach.turn
     shape = approach.shape
     search = Search()
-    search.start = wp.quat_rotate(turn, shapes.samples[s].point) + approach.shift
+    search.start = wp.quat_rotate(turn, sample.point) + approach.shift
     search.query = search.start
-    search.normal = wp.quat_rotate(turn, shapes.samples[s].normal)
-    kind = shapes.samples[s].kind
+    search.normal = wp.quat_rotate(turn, sample.normal)
+    kind = sample.kind
     if is_segment(kind):
-        slide = wp.quat_rotate(turn, shapes.samples[s].slide)
+        slide = wp.quat_rotate(turn, sample.slide)
         search.half = wp.length(slide)
         search.along = slide / search.half
         if kind == SampleKind.ARC:
@@ -193,11 +194,11 @@ def begin_search(s: int, approach: Approach, weight: float, shapes: Shapes):
         if shapes.shapes[shape].convex == 1:
             search.stage = EDGE_LOW
             search = look_at(search, search.left)
-        elif shapes.samples[s].radius == 0.0:
+        elif sample.radius == 0.0:
             search = clip_to_grid(search, shapes, shape)
     elif kind == SampleKind.RIM:
         search.along = search.normal
-    elif shapes.samples[s].radius > 0.0:
+    elif sample.radius > 0.0:
         search.stage = BALL_CENTER
     else:
         search.facing = weight * search.normal
@@ -212,19 +213,20 @@ def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
     normal, with weight 0 by the distance alone.
     """
     shape = approach.shape
-    kind = shapes.samples[s].kind
-    radius = shapes.samples[s].radius
+    sample = read_sample(s, shapes.samples)
+    kind = sample.kind
+    radius = sample.radius
     convex = shapes.shapes[shape].convex
     size = shapes.shapes[shape].size
     part = shapes.shapes[shape].part_start
     exact = wp.where(shapes.shapes[shape].cell == 0.0, 1, 0)
     if shapes.parts[part].tree_start < shapes.parts[part].tree_end:
         exact = 1
-    choice = shapes.samples[s].choice
+    choice = sample.choice
     corners = choice > 0 and has_places(shapes, shape)
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[approach.own_shape].convex == 0, 1, 0)
-    search = begin_search(s, approach, weight, shapes)
+    search = begin_search(sample, approach, weight, shapes)
     slides = may_slide(approach.own_shape, shape, shapes) and radius == 0.0
     slides = slides and (kind == SampleKind.POINT or kind == SampleKind.FACE)
     edge = is_segment(kind)

@@ -22,6 +22,7 @@ from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.shape_arrays import read_cluster, read_sample
 from warp_rigid.kernels.tuning import ALLOWED_DEPTH, CLOSE_ENOUGH, FAST_TRAVEL
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -304,20 +305,25 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
     suspect.sample = s
     suspect.begin = begin
     if is_traced_edge(s, other, shapes):
-        p = wp.transform_point(passage.start, shapes.samples[s].point)
-        margin = shapes.samples[s].radius + wp.length(shapes.samples[s].slide) + CLOSE_ENOUGH * passage.size
+        edge = read_sample(s, shapes.samples)
+        p = wp.transform_point(passage.start, edge.point)
+        margin = edge.radius + wp.length(edge.slide) + CLOSE_ENOUGH * passage.size
         if out_of_box(p, margin + passage.reach, other.shape, shapes):
             suspect.sample = CLEAR
         return suspect
     p = own.local_center
     radius = float(0.0)
     if s >= 0:
-        p = shapes.samples[s].point
-        radius = shapes.samples[s].radius
-        if shapes.samples[s].kind == SampleKind.RIM:
+        sample = read_sample(s, shapes.samples)
+        p = sample.point
+        radius = sample.radius
+        if sample.kind == SampleKind.RIM:
             suspect.sample = CLEAR
             return suspect
     path = path_length(own, other, arm_of(own, p), passage)
+    if path < ALLOWED_DEPTH * passage.size:
+        suspect.sample = CLEAR
+        return suspect
     gap = gap_of(shapes, other.shape, p, radius, path, passage)
     suspect.allowed = ALLOWED_DEPTH * passage.size
     handled = handled_depth(s, passage.near, passage.size)
@@ -336,8 +342,9 @@ def trace_suspect(shapes: Shapes, own: Course, other: Course, suspect: Suspect, 
     p = own.local_center
     radius = float(0.0)
     if s >= 0:
-        p = shapes.samples[s].point
-        radius = shapes.samples[s].radius
+        sample = read_sample(s, shapes.samples)
+        p = sample.point
+        radius = sample.radius
     slide = wp.vec3(0.0, 0.0, 0.0)
     if is_traced_edge(s, other, shapes):
         slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
@@ -359,10 +366,11 @@ def ball_of(own: Course, cluster: int, shapes: Shapes):
         ball.sample_start = -1
         ball.sample_end = shapes.shapes[own.shape].convex - 1
     else:
-        ball.center = shapes.clusters[cluster].center
-        ball.radius = shapes.clusters[cluster].radius
-        ball.sample_start = shapes.clusters[cluster].sample_start
-        ball.sample_end = shapes.clusters[cluster].sample_end
+        known = read_cluster(cluster, shapes.clusters)
+        ball.center = known.center
+        ball.radius = known.radius
+        ball.sample_start = known.sample_start
+        ball.sample_end = known.sample_end
     return ball
 
 

@@ -17,7 +17,8 @@ The sign is that of the angle-weighted pseudonormal of the nearest face, side or
 
 import warp as wp
 
-from warp_rigid.kernels.schema import BALL_PLACES, Shapes
+from warp_rigid.kernels.schema import BALL_PLACES, Shapes, TreeRecord, TriangleRecord
+from warp_rigid.kernels.shape_arrays import MOST_OF_LEAF, read_node, read_triangle
 
 wp.set_module_options({"enable_backward": False})
 
@@ -101,13 +102,34 @@ class Places:
 
 
 @wp.func
-def foot_on_side(p: wp.vec3, a: wp.vec3, b: wp.vec3, k: int):
-    """The nearest point of side k, from a to b, strictly between its ends."""
-    foot = Foot()
-    side = b - a
-    foot.offset = p - a - wp.dot(p - a, side) / wp.dot(side, side) * side
-    foot.feature = ON_SIDE + k
-    return foot
+def triangles_of(leaf: int):
+    """The first triangle of a leaf, and one past its last (`TreeRecord.leaf`); both are equal for other nodes."""
+    first = leaf / MOST_OF_LEAF
+    return first, first + leaf % MOST_OF_LEAF
+
+
+@wp.func
+def next_leaf(node: int, end: int, p: wp.vec3, squared: float, shapes: Shapes):
+    """The next leaf of a tree within a squared distance of a point, from a node on, and the node that follows it.
+
+    It has no triangles if there is none. The lanes of a GPU look for their leaves together, then they test triangles
+    together: to test those of one lane while others look for a leaf takes three times as long.
+    """
+    leaf = int(0)
+    while node < end and leaf % MOST_OF_LEAF == 0:
+        box = read_node(node, shapes.tree)
+        if box_gap_squared(p, box.lower, box.upper) >= squared:
+            node = box.skip
+        else:
+            leaf = box.leaf
+            node += 1
+    return leaf, node
+
+
+@wp.func
+def face_normal(triangle: TriangleRecord):
+    """The outward unit normal of a triangle."""
+    return wp.vec3(triangle.normal_x, triangle.normal_y, triangle.normal_z)
 
 
 @wp.func
@@ -134,15 +156,24 @@ def foot_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
         foot.offset = p - c
         foot.feature = ON_CORNER + 2
         return foot
-    if d1 * d4 - d3 * d2 <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        return foot_on_side(p, a, b, 0)
-    if d5 * d2 - d1 * d6 <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        return foot_on_side(p, c, a, 2)
-    if d3 * d6 - d5 * d4 <= 0.0 and d4 >= d3 and d5 >= d6:
-        return foot_on_side(p, b, c, 1)
-    n = wp.normalize(wp.cross(ab, ac))
-    foot.offset = wp.dot(p - a, n) * n
+    start = a
+    side = ab
     foot.feature = ON_FACE
+    if d1 * d4 - d3 * d2 <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        foot.feature = ON_SIDE
+    elif d5 * d2 - d1 * d6 <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        foot.feature = ON_SIDE + 2
+        start = c
+        side = a - c
+    elif d3 * d6 - d5 * d4 <= 0.0 and d4 >= d3 and d5 >= d6:
+        foot.feature = ON_SIDE + 1
+        start = b
+        side = c - b
+    if foot.feature == ON_FACE:
+        n = wp.normalize(wp.cross(ab, ac))
+        foot.offset = wp.dot(p - a, n) * n
+    else:
+        foot.offset = p - start - wp.dot(p - start, side) / wp.dot(side, side) * side
     return foot
 
 
@@ -157,7 +188,7 @@ def box_gap_squared(p: wp.vec3, lower: wp.vec3, upper: wp.vec3):
 def feature_normal(shapes: Shapes, triangle: int, feature: int):
     """Pseudonormal of a feature of a triangle."""
     if feature == ON_FACE:
-        return shapes.triangles[triangle].normal
+        return face_normal(read_triangle(triangle, shapes.triangles))
     if feature == ON_SIDE:
         return shapes.triangles[triangle].side_0
     if feature == ON_SIDE + 1:
@@ -183,22 +214,19 @@ def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, ahe
     faced = wp.length_sq(facing) > 0.0
     node = shapes.parts[part].tree_start
     while node < shapes.parts[part].tree_end:
-        if box_gap_squared(p, shapes.tree[node].lower, shapes.tree[node].upper) >= best.squared:
-            node = shapes.tree[node].skip
-        else:
-            for t in range(shapes.tree[node].triangle_start, shapes.tree[node].triangle_end):
-                foot = foot_on_triangle(
-                    p, shapes.triangles[t].corner_0, shapes.triangles[t].corner_1, shapes.triangles[t].corner_2
-                )
-                gap = wp.length_sq(foot.offset)
-                if gap < best.squared:
-                    n = shapes.triangles[t].normal
-                    if not faced or (wp.dot(n, facing) < AGAINST_FACE and wp.dot(n, foot.offset) <= ahead):
-                        best.squared = gap
-                        best.triangle = t
-                        best.feature = foot.feature
-                        best.offset = foot.offset
-            node += 1
+        leaf, node = next_leaf(node, shapes.parts[part].tree_end, p, best.squared, shapes)
+        first, end = triangles_of(leaf)
+        for t in range(first, end):
+            triangle = read_triangle(t, shapes.triangles)
+            foot = foot_on_triangle(p, triangle.corner_0, triangle.corner_1, triangle.corner_2)
+            gap = wp.length_sq(foot.offset)
+            if gap < best.squared:
+                n = face_normal(triangle)
+                if not faced or (wp.dot(n, facing) < AGAINST_FACE and wp.dot(n, foot.offset) <= ahead):
+                    best.squared = gap
+                    best.triangle = t
+                    best.feature = foot.feature
+                    best.offset = foot.offset
     return best
 
 
@@ -320,18 +348,15 @@ def places_near(shapes: Shapes, part: int, p: wp.vec3, within: float):
         return places
     node = shapes.parts[part].tree_start
     while node < shapes.parts[part].tree_end:
-        if box_gap_squared(p, shapes.tree[node].lower, shapes.tree[node].upper) >= within * within:
-            node = shapes.tree[node].skip
-        else:
-            for t in range(shapes.tree[node].triangle_start, shapes.tree[node].triangle_end):
-                foot = foot_on_triangle(
-                    p, shapes.triangles[t].corner_0, shapes.triangles[t].corner_1, shapes.triangles[t].corner_2
-                )
-                n = shapes.triangles[t].normal
-                gap = wp.length_sq(foot.offset)
-                if gap < within * within and is_upright(foot, n):
-                    places = keep_place(t, gap, n, places)
-            node += 1
+        leaf, node = next_leaf(node, shapes.parts[part].tree_end, p, within * within, shapes)
+        first, end = triangles_of(leaf)
+        for t in range(first, end):
+            triangle = read_triangle(t, shapes.triangles)
+            foot = foot_on_triangle(p, triangle.corner_0, triangle.corner_1, triangle.corner_2)
+            n = face_normal(triangle)
+            gap = wp.length_sq(foot.offset)
+            if gap < within * within and is_upright(foot, n):
+                places = keep_place(t, gap, n, places)
     return places
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.shape_arrays import MOST_OF_LEAF
 from warp_rigid.scene.body_columns import shapes_of
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
@@ -211,8 +212,7 @@ def _trees(parts: list) -> tuple[np.ndarray, np.ndarray]:
         rows = nodes[node : node + len(tree.nodes)]
         rows[:] = tree.nodes
         rows["skip"] += node
-        rows["triangle_start"] += triangle
-        rows["triangle_end"] += triangle
+        rows["leaf"] += MOST_OF_LEAF * triangle
     triangles = np.concatenate([np.zeros(0, schema.TriangleRecord.numpy_dtype()), *[t.triangles for t in trees]])
     return nodes, triangles
 

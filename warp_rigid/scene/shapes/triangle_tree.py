@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.kernels import schema
+from warp_rigid.kernels.shape_arrays import MOST_OF_LEAF
 from warp_rigid.scene.shapes import topology
 
 LEAF_TRIANGLES = 4
@@ -86,7 +87,7 @@ def _node_rows(corners: np.ndarray, levels: int) -> np.ndarray:
         rows["upper"][place] = np.maximum.reduceat(upper, cuts[:-1]) + margin
         rows["skip"][place] = place + subtree
         if level == levels:
-            rows["triangle_start"][place], rows["triangle_end"][place] = cuts[:-1], cuts[1:]
+            rows["leaf"][place] = MOST_OF_LEAF * cuts[:-1] + np.diff(cuts)
         place = np.stack([place + 1, place + 1 + subtree // 2], axis=1).reshape(-1)
     return rows
 
@@ -98,7 +99,8 @@ def _triangle_rows(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     side = topology.edge_normals(edges, normals)[edges.face_edge]
     vertex = topology.vertex_normals(vertices, faces)[faces]
     rows = np.zeros(len(faces), schema.TriangleRecord.numpy_dtype())
-    rows["normal"] = normals
+    for k, component in enumerate("xyz"):
+        rows[f"normal_{component}"] = normals[:, k]
     for k in range(3):
         rows[f"corner_{k}"], rows[f"side_{k}"], rows[f"vertex_{k}"] = vertices[faces[:, k]], side[:, k], vertex[:, k]
     return rows
