@@ -120,9 +120,9 @@ def true_mesh_distance(shapes: Shapes, part: int, p: wp.vec3, near: float):
 
     A mesh with a fault (`Mesh.fault`) has the distance of its grid everywhere.
     """
-    d = grid_distance(shapes, part, p)
+    d, bound = grid_distance(shapes, part, p)
     cell = shapes.parts[part].grid_spacing
-    if d[3] >= near + GRID_ERROR * cell or shapes.parts[part].tree_start == shapes.parts[part].tree_end:
+    if bound >= near or shapes.parts[part].tree_start == shapes.parts[part].tree_end:
         return d
     far = wp.where(d[3] > INNER * cell, FARTHER * d[3], wp.abs(d[3]))
     nowhere = wp.vec3(0.0, 0.0, 0.0)
