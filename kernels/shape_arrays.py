@@ -30,7 +30,9 @@ TreeRecord = packed_record(
     lower=Field(wp.vec3, "", "m", "lower corner of the box around its triangles, in the part's frame"),
     skip=Field(int, "", "", "node that follows its subtree"),
     upper=Field(wp.vec3, "", "m", "upper corner of the box"),
-    leaf=Field(int, "", "", "first triangle of a leaf, times MOST_OF_LEAF, plus their number, which is 0 for other nodes"),
+    leaf=Field(
+        int, "", "", "MOST_OF_LEAF times the first triangle of a leaf, plus their number; that is 0 for other nodes"
+    ),
 )
 
 TriangleRecord = packed_record(

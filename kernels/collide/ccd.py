@@ -193,8 +193,8 @@ def list_fast_pairs(
         b = pairs.body_b[pair]
         if round_number == 0 or motions.changed[a] == 1 or motions.changed[b] == 1:
             size = traced_size(a, b, shapes, bodies)
-            first = course_of(a, bodies, state, motions)
-            second = course_of(b, bodies, state, motions)
+            first = course_of(a, shapes, bodies, state, motions)
+            second = course_of(b, shapes, bodies, state, motions)
             change = relative_motion(latest_change(a, first, motions), latest_change(b, second, motions), dt)
             suspects.untraced[pair] += change
             if not is_followed(a, b, round_number, envs.impact_rounds[bodies.env[a]], motions):
@@ -216,12 +216,12 @@ def list_fast_pairs(
 
 
 @wp.func
-def courses_of(pair: int, side: int, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
+def courses_of(pair: int, side: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
     """The courses of a pair's bodies: that of its first (side 0) or second (1) body comes first."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    own = course_of(wp.where(side == 0, a, b), bodies, state, motions)
-    return own, course_of(wp.where(side == 0, b, a), bodies, state, motions)
+    own = course_of(wp.where(side == 0, a, b), shapes, bodies, state, motions)
+    return own, course_of(wp.where(side == 0, b, a), shapes, bodies, state, motions)
 
 
 @wp.func
@@ -249,14 +249,14 @@ def note_impact(
     """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    first, second = courses_of(pair, 0, bodies, state, motions, pairs)
+    first, second = courses_of(pair, 0, shapes, bodies, state, motions, pairs)
     left = relative_motion(first, second, dt - t)
     wp.atomic_max(suspects.untraced, pair, left)
     if suspects.round[0] > 0 and left <= LEFT_OF_DEPTH * ALLOWED_DEPTH * traced_size(a, b, shapes, bodies):
         return
     impact = wp.int64(t / dt * UNITS_OF_TIME) * PAIR_NUMBERS + wp.int64(pair)
-    first = onward_course(a, bodies, state, motions)
-    second = onward_course(b, bodies, state, motions)
+    first = onward_course(a, shapes, bodies, state, motions)
+    second = onward_course(b, shapes, bodies, state, motions)
     share = common_share(a, b, first, second, motions)
     free = lead_of(a, motions) != lead_of(b, motions) or lead_of(a, motions) == 0
     note_impact_of_body(a, free and share > 0.0, impact, motions)
@@ -268,7 +268,7 @@ def passage_of_body(
     pair: int, side: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):
     """The courses of a pair's bodies, as `courses_of`, and the relative motion of the first of these."""
-    own, other = courses_of(pair, side, bodies, state, motions, pairs)
+    own, other = courses_of(pair, side, shapes, bodies, state, motions, pairs)
     size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
     return own, other, passage_of(own, other, dt, size, pairs.contact_count[pair] > 0, shapes)
 
@@ -298,7 +298,7 @@ def advance_solids(
         if is_advanced(pair, shapes, bodies, pairs):
             a = pairs.body_a[pair]
             b = pairs.body_b[pair]
-            first, second = courses_of(pair, 0, bodies, state, motions, pairs)
+            first, second = courses_of(pair, 0, shapes, bodies, state, motions, pairs)
             if symmetry_of(a, shapes, bodies) == BALL:
                 first.angular = wp.vec3(0.0, 0.0, 0.0)
             if symmetry_of(b, shapes, bodies) == BALL:
@@ -421,7 +421,7 @@ def trace_suspects(
     count = usable_count(wp.tid(), which, suspects.count[0], suspects.pair.shape[0], wanted_row, wanted)
     for k in range(wp.tid(), count, threads):
         pair = suspects.pair[k]
-        own, other = courses_of(pair, suspects.side[k], bodies, state, motions, pairs)
+        own, other = courses_of(pair, suspects.side[k], shapes, bodies, state, motions, pairs)
         size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
         near = handled_gap(own, other, dt, size, pairs.contact_count[pair] > 0, shapes)
         suspect = Suspect()
@@ -442,16 +442,32 @@ def time_of(impact: wp.int64):
 
 
 @wp.func
-def motion_after(b: int, impact: wp.int64, dt: float, bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
+def motion_after(
+    b: int,
+    impact: wp.int64,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    pairs: Pairs,
+    motions: Motions,
+):
     """The motion of a body after an impact in `first_impact`."""
     pair = int(impact % PAIR_NUMBERS)
     t = dt * time_of(impact)
-    return common_motion(b, pairs.body_a[pair], pairs.body_b[pair], t, dt, bodies, state, motions)
+    return common_motion(b, pairs.body_a[pair], pairs.body_b[pair], t, dt, shapes, bodies, state, motions)
 
 
 @wp.kernel
 def change_courses(
-    dt: float, bodies: Bodies, state: State, envs: Environments, pairs: Pairs, suspects: Suspects, motions: Motions
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    envs: Environments,
+    pairs: Pairs,
+    suspects: Suspects,
+    motions: Motions,
 ):
     """One thread per body: from its first impact on, it moves with the other body.
 
@@ -467,7 +483,7 @@ def change_courses(
     if impact == NEVER:
         return
     t = time_of(impact)
-    after = motion_after(b, impact, dt, bodies, state, pairs, motions)
+    after = motion_after(b, impact, dt, shapes, bodies, state, pairs, motions)
     first = pairs.body_a[int(impact % PAIR_NUMBERS)]
     second = pairs.body_b[int(impact % PAIR_NUMBERS)]
     if not is_driven(first, second, motions):

@@ -327,8 +327,8 @@ def contradictory(pair: int, pairs: Pairs):
 
 @wp.func
 def deepest_gap(pair: int, pairs: Pairs):
-    """Gap of the deepest kept sample of a pair [m], at most 0."""
-    deepest = float(0.0)
+    """Gap of the deepest kept sample of a pair [m]; FAR if it has none."""
+    deepest = float(FAR)
     for slot in range(pairs.patch_count[pair] * SLOTS):
         if pairs.slots[pair, slot].place >= 0:
             deepest = wp.min(deepest, pairs.slots[pair, slot].gap)

@@ -66,7 +66,8 @@ def check_by_axis(
 ):
     """Compare the samples of two convex solids with their overlap, and drop those that contradict it.
 
-    Returns 1 if a contact along the axis of least overlap is needed.
+    Returns 1 if a contact along the axis of least overlap is needed. It is not where a sample touches and the overlap
+    is shallow: its point would be any point of an area in which the solids overlap alike.
     """
     solids = solids_of(pairs.body_a[pair], pairs.body_b[pair], size, shapes, bodies, state)
     axis = pairs.axis[pair]
@@ -88,7 +89,9 @@ def check_by_axis(
         return 0
     drop_untrusted(pair, axis, -gap, lane, lanes, pairs)
     sync_warp(lanes)
-    return wp.where(deepest_gap(pair, pairs) * TRUSTED < gap, 0, 1)
+    deepest = deepest_gap(pair, pairs)
+    shallow = gap > -DOUBTFUL * size and deepest < DOUBTFUL * size
+    return wp.where(shallow or deepest * TRUSTED < gap, 0, 1)
 
 
 @wp.func

@@ -3,13 +3,14 @@
 From an impact on, two bodies move as one: each point of either has a velocity between those that the two bodies have
 there. Of these motions it is the slowest one, so that a body at rest stops the other, and bodies that meet head-on both
 stop. A kinematic body keeps its motion, and so does a body that a kinematic one carries: other bodies that hit it later
-in the step would otherwise move it into the kinematic body.
+in the step would otherwise move it into the kinematic body. A kinematic body that spins about its axis of symmetry
+does not turn others with it, as its surface stays in place.
 """
 
 import warp as wp
 
 from warp_rigid.kernels.collide.convex import are_solid, gap_along, solids_of_shapes
-from warp_rigid.kernels.common.symmetry import rotation_after
+from warp_rigid.kernels.common.symmetry import rotation_after, spin_of_surface
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Shapes, State
 from warp_rigid.kernels.tuning import ALLOWED_DEPTH, DEPTH_OF_CONTACTS, FAST_TRAVEL, NEAR_REACH
@@ -84,20 +85,25 @@ def placed_course(b: int, bodies: Bodies, state: State, motions: Motions):
 
 
 @wp.func
-def course_of(b: int, bodies: Bodies, state: State, motions: Motions):
-    """The mean motion of a body in the step, after the impacts of the previous rounds."""
+def course_of(b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
+    """The mean motion of a body in the step, after the impacts of the previous rounds.
+
+    That of a kinematic body is the motion of its surface.
+    """
     course = placed_course(b, bodies, state, motions)
     course.linear = motions.course[b]
     course.joined = motions.joined[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
         course.angular = motions.time_of_impact[b] * motions.solver_bodies[b].angular + motions.shared_spin[b]
+    if motions.role[b] == Role.KINEMATIC:
+        course.angular = spin_of_surface(b, course.angular, shapes, bodies, state)
     return course
 
 
 @wp.func
-def onward_course(b: int, bodies: Bodies, state: State, motions: Motions):
+def onward_course(b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
     """The motion that a body would continue: its course, or that of its whole mechanism, without rotation."""
-    course = course_of(b, bodies, state, motions)
+    course = course_of(b, shapes, bodies, state, motions)
     if course.joined == 1:
         course.linear = motions.onward[b]
         course.angular = wp.vec3(0.0, 0.0, 0.0)
@@ -150,15 +156,17 @@ def common_share(a: int, b: int, first: Course, second: Course, motions: Motions
 
 
 @wp.func
-def common_motion(own: int, a: int, b: int, t: float, dt: float, bodies: Bodies, state: State, motions: Motions):
+def common_motion(
+    own: int, a: int, b: int, t: float, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions
+):
     """The motion of a body after an impact at time t of a pair to which it belongs: the mean one until the end dt.
 
     Unless a kinematic body leads, the body becomes no faster, so that chains of impacts come to an end.
     """
-    first = onward_course(a, bodies, state, motions)
-    second = onward_course(b, bodies, state, motions)
+    first = onward_course(a, shapes, bodies, state, motions)
+    second = onward_course(b, shapes, bodies, state, motions)
     share = common_share(a, b, first, second, motions)
-    after = onward_course(own, bodies, state, motions)
+    after = onward_course(own, shapes, bodies, state, motions)
     arm = TURNING_ARM * after.radius
     before = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)
     place = after.center + t * after.linear

@@ -223,7 +223,9 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     n = direction_or_up(wp.vec3(gx, gy, gz))
     distance = v0 + x * gx
     node = at + wp.where(gx > 0.0, slab, 0) + wp.where(gy > 0.0, row, 0) + wp.where(gz > 0.0, 1, 0)
-    to_node = wp.vec3(x - wp.where(gx > 0.0, 1.0, 0.0), y - wp.where(gy > 0.0, 1.0, 0.0), z - wp.where(gz > 0.0, 1.0, 0.0))
+    to_node = wp.vec3(
+        x - wp.where(gx > 0.0, 1.0, 0.0), y - wp.where(gy > 0.0, 1.0, 0.0), z - wp.where(gz > 0.0, 1.0, 0.0)
+    )
     spacing = shapes.parts[part].grid_spacing
     bound = wp.max(distance - GRID_ERROR * spacing, v[node] - spacing * wp.length(to_node))
     away = (q - inside) * spacing

@@ -17,7 +17,7 @@ The sign is that of the angle-weighted pseudonormal of the nearest face, side or
 
 import warp as wp
 
-from warp_rigid.kernels.schema import BALL_PLACES, Shapes, TreeRecord, TriangleRecord
+from warp_rigid.kernels.schema import BALL_PLACES, Shapes, TriangleRecord
 from warp_rigid.kernels.shape_arrays import MOST_OF_LEAF, read_node, read_triangle
 
 wp.set_module_options({"enable_backward": False})

@@ -191,7 +191,7 @@ def build_row(a: int, b: int, touch: Touch, dt: float, size: float, bodies: Bodi
     row.arm_b = touch.position - apart - motions.center[b]
     row.gap = touch.gap
     row.bias_velocity = bias_velocity_of(touch.gap, size, dt)
-    row.surface = carrier_velocity(a, b, dt, motions)
+    row.surface = carrier_velocity(a, b, row.normal, dt, motions)
     return with_masses(row, a, b, bodies, motions)
 
 

@@ -23,6 +23,7 @@ from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord, Motions
+from warp_rigid.kernels.tuning import CARRIED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -72,19 +73,30 @@ def contact_velocity(row: ContactRecord, pair: BodyPair):
 
 
 @wp.func
-def carrier_velocity(a: int, b: int, dt: float, motions: Motions):
+def chord_of_carried(carrier: int, b: int, dt: float, motions: Motions):
+    """Velocity of the centre of a body along the chord on which a carrier turns it, less that of the tangent [m/s].
+
+    A body that does not turn with its carrier, such as a plank on rollers, is not carried around.
+    """
+    spin = motions.solver_bodies[carrier].angular
+    turning = wp.dot(motions.solver_bodies[b].angular, spin) / wp.max(wp.length_sq(spin), 1.0e-30)
+    return wp.clamp(turning / CARRIED, 0.0, 1.0) * chord_velocity(spin, motions.center[b] - motions.center[carrier], dt)
+
+
+@wp.func
+def carrier_velocity(a: int, b: int, normal: wp.vec3, dt: float, motions: Motions):
     """Mean velocity in a step of the first body's frame relative to the second's, beyond that of their tangents [m/s].
 
     A point of a kinematic body that turns moves along a chord. A body that it carries turns with it, so that the chord
-    of its centre counts.
+    of its centre counts, in the plane of the contact. Along the normal it does not: a wheel does not retreat from what
+    it touches.
     """
-    away = motions.center[b] - motions.center[a]
     result = wp.vec3(0.0, 0.0, 0.0)
     if motions.role[a] == Role.KINEMATIC:
-        result += chord_velocity(motions.solver_bodies[a].angular, away, dt)
+        result += chord_of_carried(a, b, dt, motions)
     if motions.role[b] == Role.KINEMATIC:
-        result -= chord_velocity(motions.solver_bodies[b].angular, -away, dt)
-    return result
+        result -= chord_of_carried(b, a, dt, motions)
+    return result - wp.dot(result, normal) * normal
 
 
 @wp.func

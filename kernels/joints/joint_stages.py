@@ -49,6 +49,7 @@ from warp_rigid.kernels.schema import (
     Motions,
     Order,
     Pairs,
+    Shapes,
     SleepState,
     State,
 )
@@ -458,7 +459,16 @@ def join_courses(lanes: int, bodies: Bodies, motions: Motions, joints: Joints):
 
 
 @wp.kernel
-def share_impacts(dt: float, lanes: int, bodies: Bodies, state: State, pairs: Pairs, motions: Motions, joints: Joints):
+def share_impacts(
+    dt: float,
+    lanes: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    pairs: Pairs,
+    motions: Motions,
+    joints: Joints,
+):
     """One team per mechanism, after a round: at its first impact, its joints stop, and it moves on as a whole.
 
     The motion after the impact of the body that is hit is that of all its bodies, without rotation.
@@ -475,7 +485,7 @@ def share_impacts(dt: float, lanes: int, bodies: Bodies, state: State, pairs: Pa
     if first == NEVER:
         return
     t = time_of(first)
-    after = motion_after(hit, first, dt, bodies, state, pairs, motions)
+    after = motion_after(hit, first, dt, shapes, bodies, state, pairs, motions)
     if joints.anchored[m] == 1:
         after.linear = wp.vec3(0.0, 0.0, 0.0)
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):

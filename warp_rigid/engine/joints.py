@@ -255,7 +255,7 @@ class JointStages:
     def share_impacts(self) -> None:
         """After a round: the impact of a body is that of its mechanism."""
         if self.present:
-            inputs = [self.bodies, self.state, self.pools.pairs]
+            inputs = [self._step.model.shapes, self.bodies, self.state, self.pools.pairs]
             self._per_mechanism(self.kernels.share_impacts, [self.dt], inputs, [self.motions, self.arrays])
 
     def close_stopped(self) -> None:

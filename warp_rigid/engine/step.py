@@ -432,7 +432,7 @@ class Stages:
         self.share(ccd.advance_solids, size, inputs, [suspects, self.motions], lanes=lanes)
         if not model.layout.has_only_solids:
             wp.capture_if(suspects.sampled, self._trace_samples)
-        inputs = [self.dt, model.bodies, self.state, self.envs, pairs, suspects]
+        inputs = [self.dt, model.shapes, model.bodies, self.state, self.envs, pairs, suspects]
         self.per_body(ccd.change_courses, inputs, [self.motions])
         self.joints.share_impacts()
 
