@@ -411,3 +411,22 @@ def test_a_slow_motor_does_not_fall_asleep(device):
     sim = wr.Simulator(scene, device=device, settings=wr.Settings(sleeping=True))
     sim.step(960)
     assert sim.get("position")[0, box, 0] == pytest.approx(0.02, rel=2e-3)
+
+
+def test_an_orientation_that_is_set_forgets_the_turns_of_a_hinge():
+    """The drive holds the body where it was placed; it made one more turn back."""
+    scene = one_body(wr.RevoluteJoint((0, 0, 1)))
+    scene.add_drive(0, stiffness=50.0, damping=5.0)
+    sim = simulator(scene, "cpu", num_envs=2)
+    sim.set("angular_velocity", (0, 0, 8.0))
+    sim.set("joint_stiffness", 0.0)
+    sim.set("joint_damping", 0.0)
+    sim.step(240)
+    turned = sim.get("joint_position")[:, 0]
+    assert (turned > 2.0 * np.pi).all()
+    sim.set("orientation", (0, 0, 0, 1), envs=[0])
+    sim.set("angular_velocity", 0.0)
+    np.testing.assert_allclose(sim.get("joint_position")[:, 0], (0.0, turned[1]), atol=1e-6)
+    sim.set("joint_stiffness", 50.0)
+    sim.step(10)
+    assert abs(sim.get("angular_velocity")[0]).max() < 1e-5

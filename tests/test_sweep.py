@@ -167,6 +167,19 @@ def test_settling_is_timed():
     assert row["settle_time"] == pytest.approx(np.sqrt(2 * 0.5 / GRAVITY), abs=1 / 60 + 1 / 240)
 
 
+def sliding(friction):
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(normal=(0, 0, 1), offset=0.0), friction=friction)
+    scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1), linear_velocity=(1, 0, 0), friction=friction)
+    return scene
+
+
+def test_a_body_settles_at_a_sample_after_it_has_stopped():
+    """A box that slides comes to rest after v / (mu g) = 0.24 s; the samples are 0.25 s apart."""
+    row = quick({"friction": [0.4]}, sliding, duration=1.0, fps=4).rows[0]
+    assert row["settle_time"] == 0.25
+
+
 def test_a_run_that_fails_is_a_row_and_harms_no_other():
     fixed = {"mass": 1e-3}
     good = values(quick({"force": [(1, 0, 0)]}, fixed=fixed))[0]

@@ -96,6 +96,14 @@ def _array(world: World, name: str) -> np.ndarray:
     return getattr(world.model.joints, name).numpy()[: world.layout.sizes[NAME]].copy()
 
 
+def forget_turns(world: World, rows: np.ndarray) -> None:
+    """Let the angles of joints of some bodies (n, m) count from less than half a turn: their orientations are set."""
+    joints = world.model.joints
+    near = joints.position.numpy()
+    near[np.isin(joints.body_a.numpy(), rows) | np.isin(joints.body_b.numpy(), rows)] = 0.0
+    joints.position.assign(near)
+
+
 class _Motion:
     """Frames of all joints in the world and their relative motion, in float64.
 

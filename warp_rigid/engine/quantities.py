@@ -307,6 +307,8 @@ def store_rows(world: World, name: str, values: np.ndarray, rows: np.ndarray) ->
     assign_rows(_array_of(world, name), values, rows)
     if name in REMAINDER_OF:
         assign_rows(getattr(world.state, REMAINDER_OF[name]), 0.0, rows)
+    if name == "orientation":
+        joint_quantities.forget_turns(world, rows)
 
 
 def _array_of(world: World, name: str) -> wp.array:

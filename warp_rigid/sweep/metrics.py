@@ -25,7 +25,8 @@ class MetricRecorder:
         self.sim, self.metrics = sim, metrics
         self.dynamic = _dynamic_bodies(sim)
         self.start = self.centers()
-        self.moving_until = np.zeros(sim.num_envs)
+        self.slow_from = np.zeros(sim.num_envs)
+        self.note_speed()
         self.deepest = np.zeros(sim.num_envs)
         self.box = _initial_bounds(sim)
 
@@ -39,12 +40,17 @@ class MetricRecorder:
 
     def observe(self) -> None:
         """Sample the current state. The sampling times do not depend on the batch."""
+        self.note_speed()
+        if "deepest_overlap" in self.metrics:
+            self.deepest = np.maximum(self.deepest, self.sim.penetration())
+
+    def note_speed(self) -> None:
+        """Note since when each environment has been slow."""
         if "settle_time" in self.metrics and self.dynamic.any():
             velocity = self.sim.get("linear_velocity").astype(np.float64)
             speed = np.where(self.dynamic, np.linalg.norm(velocity, axis=-1), 0.0).max(axis=1)
-            self.moving_until[~(speed < AT_REST)] = self.sim.time
-        if "deepest_overlap" in self.metrics:
-            self.deepest = np.maximum(self.deepest, self.sim.penetration())
+            self.slow_from[np.isnan(self.slow_from)] = self.sim.time
+            self.slow_from[~(speed < AT_REST)] = np.nan
 
     def values(self) -> dict[str, np.ndarray]:
         """Final value of every metric, (envs, ...); NaN if undefined for a run."""
@@ -68,8 +74,8 @@ class MetricRecorder:
         return np.where(self.dynamic, moved, 0.0).max(axis=1)
 
     def settle_time(self) -> np.ndarray:
-        """Time of the last sample in which a dynamic body was faster than AT_REST [s]; NaN if one is at the end."""
-        return np.where(self.moving_until < self.sim.time, self.moving_until, np.nan)
+        """Time of the first sample from which on no dynamic body is faster than AT_REST [s]; NaN if one is at the end."""
+        return self.slow_from
 
     def kinetic_energy(self) -> np.ndarray:
         """Final kinetic energy of all bodies [J]."""
