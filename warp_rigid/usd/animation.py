@@ -18,7 +18,8 @@ from warp_rigid.scene.look import Look
 from warp_rigid.scene.scene import Motion
 from warp_rigid.usd.conventions import MARK
 from warp_rigid.usd.library import Library
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
+from warp_rigid.usd.options import UsdOptions
+from warp_rigid.usd.specs import Track, WrittenEnv, define, set_attribute, set_relationship, vec3f
 from warp_rigid.usd.stage_look import define_surface
 
 NAMES = Sdf.ValueTypeNames
@@ -39,33 +40,23 @@ class _Group:
 class Instancers:
     """Writer of the bodies of one environment.
 
+    Readers that evaluate a stage at the default time, such as physics parsers, see default values only; without those
+    of the first frame all bodies would be at the origin.
+
     Args:
-        film: recording with the constant data.
-        row: row of the environment in the recording.
-        color: colouring, one of COLORINGS.
-        velocities: whether to write velocities for motion blur.
+        env: the environment.
+        library: holds the surfaces.
+        options: export options.
     """
 
-    def __init__(self, film: Recording, row: int, color: str, velocities: bool):
-        """Prepare without writing."""
-        self._film, self._row, self._color, self._velocities = film, row, color, velocities
+    def __init__(self, env: WrittenEnv, library: Library, options: UsdOptions):
+        """Define the prims."""
+        self._samples, root, self._film, self._row, frame = env
+        self._color, self._velocities = options.color, options.velocities
         self._groups: list[_Group] = []
         self._paths: dict[int, str] = {}
-
-    def define(self, samples: SampleWriter, root: str, library: Library, frame: Frame) -> None:
-        """Define the prims, with the values of the first frame as default values.
-
-        Readers that evaluate a stage at the default time, such as physics parsers, see default values only; without
-        them all bodies would be at the origin.
-
-        Args:
-            samples: writer for the later frames; the prims are defined in its layer.
-            root: path of the environment's prim.
-            library: holds the surfaces.
-            frame: the first frame.
-        """
         colors = frame_colors(self._color, self._film, self._row, frame)
-        looks = drawn_looks(self._film, self._color)
+        looks, layer = drawn_looks(self._film, self._color), self._samples.layer
         for name, bodies in _groups(self._film, looks).items():
             surface = self._film.surface[bodies[0]]
             group = _Group(
@@ -75,12 +66,12 @@ class Instancers:
                 np.ascontiguousarray(frame.orientation[self._row, bodies]),
                 colors[bodies],
             )
-            self._define_group(samples, f"{root}/{name}", group, library, frame)
+            self._define_group(f"{root}/{name}", group, library, frame)
             look = looks.get(int(bodies[0]))
             if look and look.image:
                 prototypes = f"{root}/{name}/Prototypes"
-                define_surface(samples.layer, f"{prototypes}/paint", colors[bodies[0]], look, library.images)
-                prototype = define(samples.layer, f"{prototypes}/shape", "Mesh", ["MaterialBindingAPI"])
+                define_surface(layer, f"{prototypes}/paint", colors[bodies[0]], look, library.images)
+                prototype = define(layer, f"{prototypes}/shape", "Mesh", ["MaterialBindingAPI"])
                 set_relationship(prototype, "material:binding", f"{prototypes}/paint")
             self._paths |= dict.fromkeys(bodies.tolist(), f"{root}/{name}")
             self._groups.append(group)
@@ -89,16 +80,16 @@ class Instancers:
         """Path of the instancer that has a body."""
         return self._paths[body]
 
-    def resize(self, layer: Sdf.Layer, index: int, surface: DrawnSurface) -> None:
+    def resize(self, index: int, surface: DrawnSurface) -> None:
         """Write the bounding box of the still instances of a surface that was replaced."""
         for group in self._groups:
             if self._film.surface[group.bodies[0]] == index:
                 group.corners = bound_corners(surface.vertices)
                 path = f"{self.path_of(int(group.bodies[0]))}.extent"
-                layer.GetAttributeAtPath(path).default = _pose_values(group)["extent"]
+                self._samples.layer.GetAttributeAtPath(path).default = _pose_values(group)["extent"]
 
-    def _define_group(self, samples: SampleWriter, path: str, group: _Group, library: Library, frame: Frame) -> None:
-        layer = samples.layer
+    def _define_group(self, path: str, group: _Group, library: Library, frame: Frame) -> None:
+        layer = self._samples.layer
         prim = define(layer, path, "PointInstancer")
         motion = Motion(int(self._film.motion[group.bodies[0]]))
         prim.SetInfo("customData", {MARK: {"motion": motion.name.lower()}})
@@ -119,9 +110,9 @@ class Instancers:
         for name, value in values.items():
             vertex = "vertex" if name.startswith("primvars:") else ""
             attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)
-            group.tracks[name] = samples.track(attribute)
+            group.tracks[name] = self._samples.track(attribute)
 
-    def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
+    def sample(self, time: float, frame: Frame) -> None:
         """Write the values that changed since the previous frame."""
         colors = None if self._color in CONSTANT_COLORINGS else frame_colors(self._color, self._film, self._row, frame)
         for group in self._groups:
@@ -143,7 +134,7 @@ class Instancers:
                 values["primvars:displayColor"] = vec3f(group.color)
             if self._velocities:
                 values |= self._velocity_values(group, frame)
-            samples.put([group.tracks[name] for name in values], time, values.values())
+            self._samples.put([group.tracks[name] for name in values], time, values.values())
 
     def _velocity_values(self, group: _Group, frame: Frame) -> dict:
         """Linear velocities of the instance origins [m/s] and angular velocities [degree/s]."""

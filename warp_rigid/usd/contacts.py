@@ -3,9 +3,9 @@
 import numpy as np
 from pxr import Sdf, Vt
 
-from warp_rigid.runs.recording import Frame, Recording
+from warp_rigid.runs.recording import Frame
 from warp_rigid.scene.scene import Motion
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, vec3f
+from warp_rigid.usd.specs import Track, WrittenEnv, define, set_attribute, vec3f
 
 NAMES = Sdf.ValueTypeNames
 GRAVITY = 9.81
@@ -19,23 +19,19 @@ class ContactMarks:
     median size.
 
     Args:
-        film: recording with the constant data, including the scene.
-        row: row of the environment in the recording.
+        env: the environment, of a recording with the scene.
     """
 
-    def __init__(self, film: Recording, row: int):
-        """Prepare without writing."""
+    def __init__(self, env: WrittenEnv):
+        """Define the prims."""
+        samples, root, film, row, frame = env
         assert film.scene is not None
-        self._env = film.envs[row]
+        self._samples, self._env = samples, film.envs[row]
         dynamic = [body for body in film.scene.bodies if body.motion == Motion.DYNAMIC]
         self._size = float(np.median([body.shape.size for body in dynamic])) if dynamic else 1.0
         mass = float(np.median([body.mass for body in dynamic])) if dynamic else 1.0
         self._scale = self._size * film.fps / (mass * GRAVITY)
         self._tracks: dict[str, Track] = {}
-        self._count = 0
-
-    def define(self, samples: SampleWriter, root: str, frame: Frame) -> None:
-        """Define the prims, with the values of the first frame as default values."""
         points = define(samples.layer, f"{root}/contacts", "Points")
         lines = define(samples.layer, f"{root}/impulses", "BasisCurves")
         set_attribute(lines, "type", NAMES.Token, "linear", uniform=True)
@@ -51,12 +47,12 @@ class ContactMarks:
             self._tracks[key] = samples.track(set_attribute(prim, name, _TYPES[name], value))
         self._count = len(values["points.points"])
 
-    def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
+    def sample(self, time: float, frame: Frame) -> None:
         """Write a frame."""
         values = self._values(frame)
         count = len(values["points.points"])
         if count or self._count:
-            samples.put([self._tracks[key] for key in values], time, values.values())
+            self._samples.put([self._tracks[key] for key in values], time, values.values())
         self._count = count
 
     def _values(self, frame: Frame) -> dict:

@@ -10,6 +10,7 @@ from pxr import Gf, Sdf, Vt
 from warp_rigid import rotations
 from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.runs.drawn_surface import DrawnSurface, drawn_surface
+from warp_rigid.runs.recording import Frame
 from warp_rigid.scene.look import Look
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
@@ -55,13 +56,13 @@ class Library:
         """Define or replace surface number `index`."""
         self._write(define(self.layer, self.mesh_path(index), "Mesh"), surface)
 
-    def sample(self, frame: float, time: float) -> None:
-        """Write the moving surfaces at a time [s]."""
+    def sample(self, time: float, frame: Frame) -> None:
+        """Write the moving surfaces of a frame."""
         for surface, tracks in self._moving.values():
-            points = surface.vertices_at(time)
+            points = surface.vertices_at(frame.time)
             normals = corner_normals(points, surface.faces).reshape(-1, 3)
             values = [vec3f(points), vec3f(normals), _extent(points)]
-            self._samples.put(tracks, frame, values)
+            self._samples.put(tracks, time, values)
 
     def _write(self, prim: Sdf.PrimSpec, surface: DrawnSurface) -> None:
         """Write the triangles of the first frame, and track those of a moving surface."""

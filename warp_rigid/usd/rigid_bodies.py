@@ -9,7 +9,7 @@ from pxr import Sdf, Tf, Vt
 
 from warp_rigid.render.appearance import drawn_looks, frame_colors
 from warp_rigid.rotations import inverse, rotate
-from warp_rigid.runs.recording import Frame, Recording
+from warp_rigid.runs.recording import Frame
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, unique_name
 from warp_rigid.scene.shapes import Shape
@@ -18,7 +18,8 @@ from warp_rigid.usd.conventions import FOLLOWS_PATH, MARK, gf_quaternion, precis
 from warp_rigid.usd.field_data import fields_to_data
 from warp_rigid.usd.joint_prims import write_joint
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
-from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship, vec3f
+from warp_rigid.usd.options import UsdOptions
+from warp_rigid.usd.specs import Track, WrittenEnv, define, set_attribute, set_relationship, vec3f
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, write_surface_motion
 
 NAMES = Sdf.ValueTypeNames
@@ -29,30 +30,20 @@ class Bodies:
     """Writer of the bodies of one environment.
 
     Args:
-        film: recording with the constant data, including the scene.
-        row: row of the environment in the recording.
-        color: colouring, one of COLORINGS.
+        env: the environment, of a recording with the scene.
+        library: receives the colliders.
+        options: export options.
         several: whether the stage has several environments.
     """
 
-    def __init__(self, film: Recording, row: int, color: str, several: bool):
-        """Prepare without writing."""
+    def __init__(self, env: WrittenEnv, library: Library, options: UsdOptions, several: bool):
+        """Define the prims."""
+        samples, root, film, row, frame = env
         assert film.scene is not None
-        self._film, self._row, self._color, self._several = film, row, color, several
-        self._scene = film.scene
-        self._paths: list[str] = []
+        self._samples, self._film, self._row, self._color, self._several = samples, film, row, options.color, several
         self._tracks: dict[str, list[Track]] = {"place": [], "orientation": [], "color": []}
-
-    def define(self, samples: SampleWriter, root: str, library: Library, frame: Frame) -> None:
-        """Define the prims, with the values of the first frame as default values.
-
-        Args:
-            samples: writer for the later frames; the prims are defined in its layer.
-            root: path of the environment's prim.
-            library: receives the colliders.
-            frame: the first frame.
-        """
-        scene, start = self._scene, self._film.start
+        self._paths: list[str] = []
+        scene, start = film.scene, film.start
         _write_scene(samples.layer, f"{root}/{PHYSICS_SCENE}", scene, start["gravity"][self._row])
         self._position = frame.position[self._row].copy()
         self._orientation = frame.orientation[self._row].copy()
@@ -62,10 +53,10 @@ class Bodies:
         back = inverse(self._orientation)
         self._velocity = vec3f(rotate(back, start["linear_velocity"][self._row]))
         self._spin = vec3f(np.degrees(rotate(back, start["angular_velocity"][self._row])))
-        taken, paths = dict.fromkeys((PHYSICS_SCENE, "contacts", "impulses"), 1), []
+        taken = dict.fromkeys((PHYSICS_SCENE, "contacts", "impulses"), 1)
         for index, body in enumerate(scene.bodies):
             name = unique_name(Tf.MakeValidIdentifier(body.name), taken)
-            prim = self._define_body(samples, f"{root}/{name}", index, body)
+            prim = self._define_body(f"{root}/{name}", index, body)
             if name != body.name:
                 prim.SetInfo("displayName", body.name)
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
@@ -76,12 +67,11 @@ class Bodies:
                 path = library.painted(path, self._colors[index], look)
             library.add_reference(geometry, path)
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
-            paths.append(f"{root}/{name}")
-        self._paths = paths
-        self._write_filtered_pairs(samples.layer, paths)
+            self._paths.append(f"{root}/{name}")
+        self._write_filtered_pairs(scene)
         for entry in scene.joints:
             name = unique_name(Tf.MakeValidIdentifier(entry.name), taken)
-            write_joint(samples.layer, f"{root}/{name}", entry, paths)
+            write_joint(samples.layer, f"{root}/{name}", entry, self._paths)
             if name != entry.name:
                 samples.layer.GetPrimAtPath(f"{root}/{name}").SetInfo("displayName", entry.name)
 
@@ -89,9 +79,9 @@ class Bodies:
         """Path of a body's prim."""
         return self._paths[body]
 
-    def _write_filtered_pairs(self, layer: Sdf.Layer, paths: list[str]) -> None:
+    def _write_filtered_pairs(self, scene: Scene) -> None:
         """Write the filtered pairs; static bodies, which USD does not have, are replaced by their colliders."""
-        scene = self._scene
+        paths = self._paths
         partners: dict[int, list[str]] = {}
         for pair in sorted(scene.filtered_pairs):
             body, other = sorted(pair, key=lambda index: -scene.bodies[index].motion)
@@ -101,18 +91,18 @@ class Bodies:
                 targets = [f"{paths[other]}/geometry/collider_{index}" for index in range(count)]
             partners.setdefault(body, []).extend(targets)
         for body, targets in partners.items():
-            prim = layer.GetPrimAtPath(paths[body])
+            prim = self._samples.layer.GetPrimAtPath(paths[body])
             applied = prim.GetInfo("apiSchemas")
             applied.prependedItems = [*applied.prependedItems, "PhysicsFilteredPairsAPI"]
             prim.SetInfo("apiSchemas", applied)
             set_relationship(prim, "physics:filteredPairs", *targets)
 
-    def _define_body(self, samples: SampleWriter, path: str, index: int, body: Body) -> Sdf.PrimSpec:
+    def _define_body(self, path: str, index: int, body: Body) -> Sdf.PrimSpec:
         """Define a body without its geometry."""
         start, row = self._film.start, self._row
         apis = [[], ["PhysicsRigidBodyAPI"], ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]][body.motion]
         surface = [start[name][row, index] for name in SURFACE_VELOCITIES]
-        prim = define(samples.layer, path, "Xform", [*apis, *([SURFACE_SCHEMA] if np.any(surface) else [])])
+        prim = define(self._samples.layer, path, "Xform", [*apis, *([SURFACE_SCHEMA] if np.any(surface) else [])])
         if np.any(surface):
             write_surface_motion(prim, *surface)
         follows = {} if body.path is None else {FOLLOWS_PATH: True}
@@ -122,7 +112,7 @@ class Bodies:
             prim, "primvars:displayColor", NAMES.Color3fArray, vec3f([self._colors[index]]), interpolation="constant"
         )
         for name, attribute in (("place", place), ("orientation", orientation), ("color", hue)):
-            self._tracks[name].append(samples.track(attribute))
+            self._tracks[name].append(self._samples.track(attribute))
         if index in self._film.looks:
             for name in ("roughness", "metallic"):
                 value = [getattr(self._film.looks[index], name)]
@@ -150,22 +140,22 @@ class Bodies:
             over = define(prim.layer, f"{geometry.path}/collider_{index}", specifier=Sdf.SpecifierOver)
             set_relationship(over, "physics:simulationOwner", owner)
 
-    def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
+    def sample(self, time: float, frame: Frame) -> None:
         """Write the values that changed since the previous frame."""
         position, orientation = frame.position[self._row], frame.orientation[self._row].copy()
         orientation[np.einsum("ij,ij->i", orientation, self._orientation) < 0.0] *= -1.0
         moved = np.flatnonzero((position != self._position).any(axis=1))
         values = Vt.Vec3dArray.FromNumpy(position[moved].astype(np.float64))
-        samples.put([self._tracks["place"][index] for index in moved.tolist()], time, values)
+        self._samples.put([self._tracks["place"][index] for index in moved.tolist()], time, values)
         rotated = np.flatnonzero((orientation != self._orientation).any(axis=1))
         values = Vt.QuatdArray.FromNumpy(precise_quaternions(orientation[rotated]))
-        samples.put([self._tracks["orientation"][index] for index in rotated.tolist()], time, values)
+        self._samples.put([self._tracks["orientation"][index] for index in rotated.tolist()], time, values)
         self._position, self._orientation = position.copy(), orientation
         if self._color not in CONSTANT_COLORINGS:
             colors = frame_colors(self._color, self._film, self._row, frame)
             changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()
             tracks = [self._tracks["color"][index] for index in changed]
-            samples.put(tracks, time, [vec3f([colors[index]]) for index in changed])
+            self._samples.put(tracks, time, [vec3f([colors[index]]) for index in changed])
             self._colors = colors
 
 

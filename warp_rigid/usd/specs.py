@@ -6,12 +6,13 @@ A stage recomposes after every change, which is about a hundred times slower.
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
 from warp_rigid.files.atomic import atomic_file
+from warp_rigid.runs.recording import Frame, Recording
 
 
 def open_layer(path: Path) -> Sdf.Layer:
@@ -180,3 +181,21 @@ class SampleWriter:
             layer.SetTimeSample(track.path, time, track.value)
             track.written = time
         self.layer = layer
+
+
+class WrittenEnv(NamedTuple):
+    """An environment of a recording that is written.
+
+    Attributes:
+        samples: writer for the frames after the first one; the prims are defined in its layer.
+        root: path of the environment's prim.
+        film: recording with the constant data.
+        row: row of the environment in the recording.
+        frame: the first frame, whose values are the default values.
+    """
+
+    samples: SampleWriter
+    root: str
+    film: Recording
+    row: int
+    frame: Frame

@@ -21,6 +21,7 @@ from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
 from warp_rigid.usd.specs import (
     SampleWriter,
+    WrittenEnv,
     define,
     export_layer,
     open_layer,
@@ -74,7 +75,7 @@ class UsdWriter:
         with self._writing():
             self._root = open_layer(inner)
         self._layers = [self._root]
-        self._writers: list[tuple[SampleWriter, Instancers | Bodies | ContactMarks]] = []
+        self._writers: list[Instancers | Bodies | ContactMarks | Library | CameraWriter] = []
         self._clips: Clips | None = None
         self._frames = self._flushed = 0
 
@@ -104,10 +105,8 @@ class UsdWriter:
                 if self._frames == 0:
                     self._define(frame)
                 else:
-                    for samples, writer in self._writers:
-                        writer.sample(samples, float(self._frames), frame)
-                    self._library.sample(float(self._frames), frame.time)
-                    self._camera.sample(float(self._frames), frame)
+                    for writer in self._writers:
+                        writer.sample(float(self._frames), frame)
             self._spread.add(frame.position[self._rows])
             self._frames += 1
             if self._live and self._frames - self._flushed >= self._flush_interval():
@@ -177,6 +176,7 @@ class UsdWriter:
         self._camera = CameraWriter(self._root, f"{WORLD}/Camera", self._film, int(self._rows[0]), frame)
         images = ImagePaths(Path(self._root.realPath), self._path, self._is_package)
         self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time, images)
+        self._writers = [self._library, self._camera]
         if self._profile == "animation":
             for index, surface in enumerate(self._film.surfaces):
                 self._library.mesh(index, surface)
@@ -198,20 +198,17 @@ class UsdWriter:
         prim.SetInfo("customData", {MARK: {"environment": int(self._film.envs[row])}})
         if self._film.labels[row]:
             prim.SetInfo("displayName", self._film.labels[row])
-        color, several = self._options.color, len(self._rows) > 1
-        body_writer: Bodies | Instancers
+        env = WrittenEnv(samples, root, self._film, row, frame)
+        bodies: Bodies | Instancers
         if self._profile == "scene":
-            body_writer = Bodies(self._film, row, color, several)
+            bodies = Bodies(env, self._library, self._options, several=len(self._rows) > 1)
         else:
-            body_writer = Instancers(self._film, row, color, self._options.velocities)
-        body_writer.define(samples, root, self._library, frame)
+            bodies = Instancers(env, self._library, self._options)
         if row != self._rows[0]:
-            self._hide(samples.layer, body_writer)
-        self._writers.append((samples, body_writer))
+            self._hide(samples.layer, bodies)
+        self._writers.append(bodies)
         if self._options.contacts:
-            marks = ContactMarks(self._film, row)
-            marks.define(samples, root, frame)
-            self._writers.append((samples, marks))
+            self._writers.append(ContactMarks(env))
 
     def _hide(self, layer: Sdf.Layer, written: Bodies | Instancers) -> None:
         """Hide the level planes of an environment: those of the first one coincide with them and reach below it.
@@ -239,9 +236,9 @@ class UsdWriter:
                 continue
             if self._profile == "animation":
                 self._library.mesh(index, surface)
-                for samples, writer in self._writers:
+                for writer in self._writers:
                     if isinstance(writer, Instancers):
-                        writer.resize(samples.layer, index, surface)
+                        writer.resize(index, surface)
             elif self._film.scene is not None:
                 shape = self._film.scene.bodies[int(np.flatnonzero(self._film.surface == index)[0])].shape
                 self._library.fit_plane(shape, surface)
