@@ -1,14 +1,13 @@
 """Actuators of MuJoCo: position and velocity servos of joints, which become drives."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pxr import Usd
 
 from warp_rigid.usd.prims import value_of
+from warp_rigid.usd.usd_file import UsdFile
 
 ACTUATOR = "MjcActuator"
 """Type of the prims."""
@@ -31,21 +30,19 @@ class Servo:
     largest: float
 
 
-def read_servos(root: Usd.Prim, leave_out: Callable[[Any, str], None]) -> dict[str, Servo]:
-    """The servos below a prim, by the paths of their joints; their controls are zero.
+def read_servos(file: UsdFile) -> dict[str, Servo]:
+    """The servos of a file, by the paths of their joints; their controls are zero.
 
-    Args:
-        root: the prim.
-        leave_out: called with a path and a reason for an actuator that does not become a drive.
+    Actuators that do not become drives are left out.
     """
     found: dict[str, Servo] = {}
-    for prim in Usd.PrimRange(root):
+    for prim in file.stage.Traverse():
         if prim.GetTypeName() != ACTUATOR:
             continue
         targets = prim.GetRelationship("mjc:target").GetTargets() if prim.HasRelationship("mjc:target") else []
         reason = _obstacle(prim, [str(target) for target in targets], found)
         if reason:
-            leave_out(prim.GetPath(), f"{ACTUATOR}: {reason}")
+            file.leave_out(prim.GetPath(), f"{ACTUATOR}: {reason}")
         else:
             found[str(targets[0])] = _servo(prim)
     return found

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +13,7 @@ from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.camera import NARROWEST, WIDEST, Camera, camera_of_text
 from warp_rigid.usd.conventions import MARK, custom_data, transform
 from warp_rigid.usd.specs import SampleWriter, define, set_attribute, set_operations
+from warp_rigid.usd.usd_file import UsdFile
 
 NAMES = Sdf.ValueTypeNames
 APERTURE = 20.955
@@ -102,21 +102,18 @@ class CameraWriter:
         self._prim.SetInfo("customData", {MARK: kept})
 
 
-def read_camera(
-    prim: Usd.Prim, matrix: np.ndarray, meter: float, middle: np.ndarray, change: Callable[[Usd.Prim, str], Any]
-) -> Camera:
+def read_camera(file: UsdFile, prim: Usd.Prim, middle: np.ndarray) -> Camera:
     """The camera of an imported file.
 
     Args:
+        file: the file, which receives the differences.
         prim: a UsdGeom.Camera.
-        matrix: transform from the frame of the prim to that of the scene, (4, 4) [m].
-        meter: unit of length of the stage [m].
         middle: (3,) of the bodies, to place the point that the camera looks at [m].
-        change: called with the prim and each difference.
 
     Raises:
         ValueError: The camera is orthographic, or its values are not those of a camera.
     """
+    position, rotation, _ = file.frame(prim)
     custom = custom_data(prim)
     if "camera" in custom:
         return camera_of_text(str(custom["camera"]))
@@ -127,17 +124,17 @@ def read_camera(
         raise ValueError("focalLength and verticalAperture must be > 0")
     angle = camera.GetFieldOfView(Gf.Camera.FOVVertical)
     if not NARROWEST <= angle <= WIDEST:
-        change(prim, f"its field of view of {angle:.3g} degrees is limited to {NARROWEST:g} to {WIDEST:g} degrees")
-    axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
-    position, ahead = matrix[:3, 3], -axes[:, 2]
-    reach = camera.focusDistance * meter or float((middle - position) @ ahead)
+        file.change(prim, f"its field of view of {angle:.3g} degrees is limited to {NARROWEST:g} to {WIDEST:g} degrees")
+    axes = rotation / np.linalg.norm(rotation, axis=0)
+    ahead = -axes[:, 2]
+    reach = camera.focusDistance * file.meter or float((middle - position) @ ahead)
     made = Camera(
-        tuple(position), tuple(position + max(reach, meter) * ahead), float(np.clip(angle, NARROWEST, WIDEST))
+        tuple(position), tuple(position + max(reach, file.meter) * ahead), float(np.clip(angle, NARROWEST, WIDEST))
     )
     if abs(axes[:, 0] @ camera_directions(made)[2]) > STRAIGHT and abs(ahead[2]) < 1.0 - 1e-6:
-        change(prim, "the picture is turned upright")
+        file.change(prim, "the picture is turned upright")
     if UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
-        change(prim, "its animated motion is ignored; it stays at the first pose of the animation")
+        file.change(prim, "its animated motion is ignored; it stays at the first pose of the animation")
     return made
 
 

@@ -28,12 +28,10 @@ from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.conventions import MARK, custom_data, gf_quaternion, lineage, quaternion_of_matrix
 from warp_rigid.usd.masses import SHARE, insert_links, positive, states_no_mass, with_point_mass
-from warp_rigid.usd.prims import described
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
+from warp_rigid.usd.usd_file import JOINT_KINDS, Types, UsdFile
 
-Types = UsdPhysics.ObjectType
 NAMES = Sdf.ValueTypeNames
-JOINT_KINDS = (Types.FixedJoint, Types.RevoluteJoint, Types.PrismaticJoint, Types.SphericalJoint, Types.DistanceJoint)
 JOINT_SCHEMAS = {"PhysicsDriveAPI", "PhysicsLimitAPI"}
 AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 PARALLEL = 0.9999
@@ -46,23 +44,20 @@ class JointReader:
     """Adds the joints of a stage to a scene. A fixed joint makes a body without mass a part of another one.
 
     Args:
-        reader: the `Reader` of the stage.
+        file: the file.
         scene: the scene, with its bodies.
     """
 
-    def __init__(self, reader: Any, scene: Scene):
+    def __init__(self, file: UsdFile, scene: Scene):
         """Start without joints."""
-        self._stage, self._scene, self._frame_of = reader.stage, scene, reader.frame_or_root
-        self._body_of, self._owners, self._massless = reader.body_of, reader.owners, reader.massless
+        self._file, self._stage, self._scene = file, file.stage, scene
         self._parts: dict[str, str] = {}
-        self._kilogram, self._meter = reader.kilogram, reader.meter
-        self._leave_out, self._change = reader.leave_out, reader.change
-        self._servos = read_servos(self._stage.GetPseudoRoot(), self._leave_out)
+        self._servos = read_servos(file)
         self._in_degrees = _uses_degrees(self._stage)
 
-    def read(self, objects: dict) -> None:
+    def read(self) -> None:
         """Add all joints, in the order of their paths."""
-        found = dict(described(objects, JOINT_KINDS))
+        found = self._file.described(*JOINT_KINDS)
         self._find_parts(found)
         self._lighten(found)
         series: dict[tuple[str, str], list[tuple[Usd.Prim, Any]]] = {}
@@ -73,7 +68,7 @@ class JointReader:
                 continue
             description = found[path]
             if not description.jointEnabled:
-                self._leave_out(path, "the joint is disabled")
+                self._file.leave_out(path, "the joint is disabled")
                 continue
             is_serial = "MjcJointAPI" in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
             ends = (str(description.rel0), str(description.rel1)) if is_serial else (path, "")
@@ -84,24 +79,24 @@ class JointReader:
     def _find_parts(self, found: dict[str, Any]) -> None:
         """Make each body without mass that fixed joints hold, directly or not, a part of what they hold it to."""
         pairs = _fixed_pairs(found)
-        left = dict(self._massless)
+        left = dict(self._file.massless)
         while taken := [(part, whole) for part, whole in pairs if part in left and whole not in left]:
             for part, whole in taken:
                 self._parts[part] = whole
                 left.pop(part, None)
         for part, whole in self._parts.items():
             prim = self._stage.GetPrimAtPath(part)
-            self._change(prim, f"{self._massless[part]}: it is a part of {whole or 'the world'}")
+            self._file.change(prim, f"{self._file.massless[part]}: it is a part of {whole or 'the world'}")
             with suppress(ValueError):  # its mass cannot be read, or what it is a part of was left out
                 self._add_mass(prim)
         for path, reason in left.items():
-            self._leave_out(path, reason)
+            self._file.leave_out(path, reason)
 
     def _add_mass(self, part: Usd.Prim) -> None:
         """Add the mass of a part without moments of inertia to the body that it is a part of."""
         index, mass = self._body(part), positive(UsdPhysics.MassAPI(part).GetMassAttr())
         if index is not None and mass is not None and self._scene.bodies[index].motion == Motion.DYNAMIC:
-            position, rotation, stretch = self._frame_of(part)
+            position, rotation, stretch = self._file.frame(part)
             given = UsdPhysics.MassAPI(part).GetCenterOfMassAttr()
             center = (
                 given.Get() if given and given.HasAuthoredValue() and np.isfinite(given.Get()).all() else np.zeros(3)
@@ -109,18 +104,19 @@ class JointReader:
             point = position + rotation @ (stretch @ np.array(center, dtype=np.float64))
             body = self._scene.bodies[index]
             local = rotations.rotate(rotations.inverse(np.array(body.orientation)), point - body.position)
-            self._scene.bodies[index] = with_point_mass(body, local, mass * self._kilogram)
+            self._scene.bodies[index] = with_point_mass(body, local, mass * self._file.kilogram)
 
     def _lighten(self, found: dict[str, Any]) -> None:
         """Give bodies with colliders, for which the file states no mass, little of that of what they are fixed to."""
         for part, whole in _fixed_pairs(found):
-            prim, index, other = self._stage.GetPrimAtPath(part), self._owners.get(part), self._owners.get(whole)
+            index, other = self._file.owners.get(part), self._file.owners.get(whole)
+            prim = self._stage.GetPrimAtPath(part)
             if index is None or other is None or not states_no_mass(prim):
                 continue
             if not states_no_mass(self._stage.GetPrimAtPath(whole)):
                 body = self._scene.bodies[index]
                 self._scene.bodies[index] = replace(body, mass=SHARE * self._scene.bodies[other].mass)
-                self._change(prim, f"a mass of 0: it has {SHARE:.1%} of the mass of {whole}")
+                self._file.change(prim, f"a mass of 0: it has {SHARE:.1%} of the mass of {whole}")
 
     def _add_series(self, joints: list[tuple[Usd.Prim, Any]]) -> None:
         """Add one joint, or several in series between two bodies, with bodies between them."""
@@ -135,16 +131,16 @@ class JointReader:
                 names = [f"{self._scene.bodies[body].name}_{prim.GetName()}" for prim, _ in joints[:-1]]
                 links = list(insert_links(self._scene, body, points, names))
                 told = f"{len(joints)} joints in series: each body between them takes {SHARE:.1%} of the mass"
-                self._change(last, told)
+                self._file.change(last, told)
         except ValueError as error:
-            self._leave_out(last.GetPath(), str(error))
+            self._file.leave_out(last.GetPath(), str(error))
             return
         ends = [None, *links, None]
         for k, (prim, own) in enumerate(joints):
             try:
                 self._add(prim, own, (ends[k], ends[k + 1]))
             except ValueError as error:
-                self._leave_out(prim.GetPath(), str(error))
+                self._file.leave_out(prim.GetPath(), str(error))
 
     def _point_of_link(self, body: int, prim: Usd.Prim, description: Any) -> np.ndarray:
         """Where a body in front of a joint has its mass, in the frame of the body behind it.
@@ -176,7 +172,7 @@ class JointReader:
             frames = [(point, rotations.multiply(orientation, HALF_TURN)) for point, orientation in reversed(frames)]
         if body_a is None:
             raise ValueError("the joint holds no rigid body")
-        force = self._kilogram * self._meter
+        force = self._file.kilogram * self._file.meter
         index = self._scene.add_joint(
             self._joint(prim, description),
             body_a,
@@ -185,7 +181,7 @@ class JointReader:
             frame_b=local_frame(None if body_b is None else self._scene.bodies[body_b], *frames[1]),
             name=prim.GetDisplayName() or prim.GetName(),
             break_force=_limit(description.breakForce * force),
-            break_torque=_limit(description.breakTorque * force * self._meter),
+            break_torque=_limit(description.breakTorque * force * self._file.meter),
             collide=bool(description.collisionEnabled),
             armature=self._armature(prim, description.type),
         )
@@ -194,11 +190,12 @@ class JointReader:
                 self._filter_static(body_a, side[0], str(path))
         self._add_drive(index, prim, description)
         if self._is_held_by_others(index):
-            self._change(prim, "another joint holds the same bodies about another axis, which prevents both rotations")
+            held = "another joint holds the same bodies about another axis, which prevents both rotations"
+            self._file.change(prim, held)
 
     def _filter_static(self, body: int, other: int | None, path: str) -> None:
         """Keep a body and the static colliders at or below the prim that a joint holds it to, if any, apart."""
-        for collider, index in self._body_of.items():
+        for collider, index in self._file.body_of.items():
             is_below = collider == path or collider.startswith(path + "/")
             if other is None and path and is_below and self._scene.bodies[index].motion == Motion.STATIC:
                 self._scene.filter_pair(body, index)
@@ -222,7 +219,7 @@ class JointReader:
         """The body of one end, None for the world, and the frame of the joint in the world."""
         target = self._stage.GetPrimAtPath(path) if str(path) else None
         body = self._body(target)
-        position, rotation, stretch = self._frame_of(target)
+        position, rotation, stretch = self._file.frame(target)
         local = np.array(prim.GetAttribute(f"physics:localPos{end}").Get() or (0, 0, 0), dtype=np.float64)
         given = prim.GetAttribute(f"physics:localRot{end}").Get() or Gf.Quatf(1.0)
         orientation = np.array([*given.GetImaginary(), given.GetReal()], dtype=np.float64)
@@ -237,9 +234,9 @@ class JointReader:
                 if path in self._parts:
                     whole = self._parts[path]
                     return self._body(self._stage.GetPrimAtPath(whole) if whole else None)
-                if path not in self._owners:
+                if path not in self._file.owners:
                     raise ValueError(f"its body {path} was left out")
-            found = self._owners.get(path, self._body_of.get(path))
+            found = self._file.owners.get(path, self._file.body_of.get(path))
             if found is not None:
                 return found
         return None
@@ -254,34 +251,34 @@ class JointReader:
         if kind == Types.RevoluteJoint:
             return RevoluteJoint(AXES["X"], _range(description.limit, math.pi / 180.0, start), friction)
         if kind == Types.PrismaticJoint:
-            return PrismaticJoint(AXES["X"], _range(description.limit, self._meter, start), friction)
+            return PrismaticJoint(AXES["X"], _range(description.limit, self._file.meter, start), friction)
         if kind == Types.DistanceJoint:
-            low, high = (float(x) * self._meter for x in (description.limit.lower, description.limit.upper))
+            low, high = (float(x) * self._file.meter for x in (description.limit.lower, description.limit.upper))
             return DistanceJoint(low if description.minEnabled else None, high if description.maxEnabled else None)
         if kind == Types.FixedJoint:
             return FixedJoint()
         angles = [prim.GetAttribute(f"physics:coneAngle{k}Limit").Get() for k in (0, 1)]
         given = [angle for angle in angles if angle is not None and angle > 0.0]
         if len(set(given)) > 1:
-            self._change(prim, "both cone angles are the smaller one")
+            self._file.change(prim, "both cone angles are the smaller one")
         return SphericalJoint(math.radians(min(given)) if given else None, AXES["X"])
 
     def _armature(self, prim: Usd.Prim, kind: Any) -> float:
         """Armature of a joint by Newton's schema [kg m^2 or kg]."""
         value = _authored(prim, "newton:armature")
         if kind == Types.RevoluteJoint:
-            return value * self._kilogram * self._meter**2
+            return value * self._file.kilogram * self._file.meter**2
         if kind == Types.PrismaticJoint:
-            return value * self._kilogram
+            return value * self._file.kilogram
         if value > 0.0:
-            self._leave_out(prim.GetPath(), "newton:armature: supported for hinges and sliders only")
+            self._file.leave_out(prim.GetPath(), "newton:armature: supported for hinges and sliders only")
         return 0.0
 
     def _units(self, kind: Any) -> tuple[float, float]:
         """Units of force or torque, and of the coordinate, of a joint in the file."""
         angular = kind in (Types.RevoluteJoint, Types.SphericalJoint)
-        force = self._kilogram * self._meter * (self._meter if angular else 1.0)
-        return force, math.pi / 180.0 if angular else self._meter
+        meter = self._file.meter
+        return self._file.kilogram * meter * (meter if angular else 1.0), math.pi / 180.0 if angular else meter
 
     def _add_drive(self, joint: int, prim: Usd.Prim, description: Any) -> None:
         """Add the drive or the damping of a joint, in SI units; damping alone is a drive without stiffness."""
@@ -295,9 +292,9 @@ class JointReader:
             self._add_spring(joint, prim, description, passive)
             return
         if drive.acceleration:
-            self._change(prim, "its drive is a force, not an acceleration")
+            self._file.change(prim, "its drive is a force, not an acceleration")
         if passive > 0.0:
-            self._change(prim, "its damping is that of its drive: newton:damping is added to it")
+            self._file.change(prim, "its damping is that of its drive: newton:damping is added to it")
         self._scene.add_drive(
             joint,
             stiffness=drive.stiffness * force / unit,
@@ -311,7 +308,7 @@ class JointReader:
         """Add the damping of a joint, and the spring and the servo that files of MuJoCo give it, as one drive."""
         stiffness, servo = _authored(prim, "mjc:stiffness"), self._servos.get(str(prim.GetPath()))
         if description.type == Types.SphericalJoint and stiffness > 0.0:
-            self._leave_out(prim.GetPath(), "mjc:stiffness: supported for hinges and sliders only")
+            self._file.leave_out(prim.GetPath(), "mjc:stiffness: supported for hinges and sliders only")
             stiffness = 0.0
         rest, start = (self._mujoco_coordinate(prim, description.type, name) for name in ("springref", "ref"))
         torque = stiffness * (rest - start)
@@ -320,7 +317,7 @@ class JointReader:
             torque += servo.offset - servo.stiffness * start
             stiffness, damping, largest = stiffness + servo.stiffness, damping + servo.damping, servo.largest
             if servo.largest < math.inf and (stiffness > servo.stiffness or damping > servo.damping):
-                self._change(prim, "the largest force of its actuator also limits its spring and its damping")
+                self._file.change(prim, "the largest force of its actuator also limits its spring and its damping")
         if stiffness > 0.0 or damping > 0.0:
             target = torque / stiffness if stiffness > 0.0 else 0.0
             self._scene.add_drive(

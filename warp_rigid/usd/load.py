@@ -35,13 +35,12 @@ def import_usd(
 
     from warp_rigid.usd.opening import convert_errors
     from warp_rigid.usd.reader import Reader
+    from warp_rigid.usd.usd_file import UsdFile
 
     with convert_errors(path):
-        reader = Reader(path, root, sdf_resolution)
-        scene = reader.scene()
-    scene.import_report = ImportReport(
-        str(path), tuple(reader.findings), root, reader.prims, reader.files, reader.cameras
-    )
+        file = UsdFile(path, root)
+        scene = Reader(file, sdf_resolution).scene()
+    scene.import_report = ImportReport(str(path), tuple(file.findings), root, file.prims, file.files, file.cameras)
     scene.import_report.tell(strict, stacklevel=2)
     return scene
 

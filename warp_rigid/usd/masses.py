@@ -7,9 +7,8 @@ to a rotation by the later joints alone, by the share.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdPhysics
@@ -21,6 +20,7 @@ from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
 from warp_rigid.usd.conventions import polar, transform
 from warp_rigid.usd.prims import Unreadable
+from warp_rigid.usd.usd_file import UsdFile
 
 DEFAULT_DENSITY = 1000.0
 """Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
@@ -45,19 +45,16 @@ class Collider:
     """Transform from its prim to the body (4, 4), with the length unit [m]; None if that is the prim of the body."""
 
 
-@dataclass
 class MassReader:
     """Reads the mass properties of dynamic bodies.
 
-    Attributes:
-        kilogram: mass unit of the stage [kg].
-        meter: length unit of the stage [m].
-        change: called with a prim and a reason for a property that cannot be imported.
+    Args:
+        file: the file, which receives what of them cannot be imported.
     """
 
-    kilogram: float
-    meter: float
-    change: Callable[[Any, str], None]
+    def __init__(self, file: UsdFile):
+        """Keep the file."""
+        self._file = file
 
     def of_colliders(
         self, prim: Usd.Prim, group: Sequence[Collider], shape: Shape, stretch: np.ndarray
@@ -76,7 +73,7 @@ class MassReader:
         api = UsdPhysics.MassAPI(prim)
         parts = np.array([self._mass_of(collider) for collider in group])
         given = positive(api.GetMassAttr())
-        mass = float(parts.sum()) if given is None else given * self.kilogram
+        mass = float(parts.sum()) if given is None else given * self._file.kilogram
         weights = parts if parts.sum() > 0.0 else np.array([collider.shape.volume for collider in group])
         own = combine(self._piece(c, weight) for c, weight in zip(group, weights / weights.sum(), strict=True))
         center, per_mass = self._distribution(prim, mass, transform(stretch), own)
@@ -94,15 +91,15 @@ class MassReader:
         mass = positive(api.GetMassAttr())
         if mass is None or self._tensor(prim, api) is None:
             raise Unreadable(f"and no {'mass' if mass is None else 'moments of inertia'}")
-        mass *= self.kilogram
+        mass *= self._file.kilogram
         nothing = MassProperties(1.0, np.zeros(3), np.zeros((3, 3)))
         return Compound([], *self._distribution(prim, mass, transform(stretch), nothing)), mass
 
     def _mass_of(self, collider: Collider) -> float:
         """Mass of a collider by its own mass or density [kg]."""
         if collider.mass is not None:
-            return collider.mass * self.kilogram
-        unit = self.kilogram / self.meter**3
+            return collider.mass * self._file.kilogram
+        unit = self._file.kilogram / self._file.meter**3
         return (DEFAULT_DENSITY if collider.density is None else collider.density * unit) * collider.shape.volume
 
     def _piece(self, collider: Collider, part: float) -> tuple[MassProperties, np.ndarray, np.ndarray]:
@@ -142,7 +139,7 @@ class MassReader:
         if not moments.any():
             return None
         if not (np.isfinite(moments).all() and (moments > 0.0).all()):
-            self.change(prim, "moments of inertia: must be > 0; those of its shape are used")
+            self._file.change(prim, "moments of inertia: must be > 0; those of its shape are used")
             return None
         axes = api.GetPrincipalAxesAttr().Get()
         orientation = np.array(
@@ -151,7 +148,7 @@ class MassReader:
         # The default of the schema is a quaternion of zeros.
         length = float(np.linalg.norm(orientation))
         matrix = rotations.matrix(orientation / length) if length > 0.0 else np.eye(3)
-        return self.kilogram * self.meter**2 * matrix @ np.diag(moments) @ matrix.T
+        return self._file.kilogram * self._file.meter**2 * matrix @ np.diag(moments) @ matrix.T
 
 
 def is_of_mujoco(collider: Usd.Prim) -> bool:

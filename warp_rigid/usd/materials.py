@@ -1,12 +1,14 @@
 """Body coefficients as attributes of a USD material."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdPhysics, UsdShade
 
 from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.usd.masses import positive
 from warp_rigid.usd.specs import define, set_attribute
+from warp_rigid.usd.usd_file import UsdFile
 
 SCHEMAS = {"physics": "PhysicsMaterialAPI", "newton": "NewtonMaterialAPI"}
 """Applied schemas by the namespace of their attributes."""
@@ -32,14 +34,16 @@ def write_material(layer: Sdf.Layer, path: str, values: Mapping[str, float]) -> 
                 set_attribute(prim, attribute, Sdf.ValueTypeNames.Float, values[name])
 
 
-def read_material(material: Usd.Prim, meter: float, note: Callable[[str], None]) -> dict[str, float]:
-    """Return the coefficients that a material has.
+def read_material(file: UsdFile, prim: Usd.Prim) -> tuple[dict[str, float], float | None]:
+    """Return the coefficients that the material of a collider has, and its density in units of the file.
 
     Args:
-        material: a prim with PhysicsMaterialAPI.
-        meter: length unit of the stage [m].
-        note: receives a message about each value that is not used.
+        file: the file, which receives the values that are not used.
+        prim: the collider.
     """
+    material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0].GetPrim()
+    if not material or not material.HasAPI(UsdPhysics.MaterialAPI):
+        return {}, None
     found = {}
     for name, coefficient in COEFFICIENTS.items():
         first, *others = (material.GetAttribute(attribute) for attribute in coefficient.usd_attributes)
@@ -48,9 +52,10 @@ def read_material(material: Usd.Prim, meter: float, note: Callable[[str], None])
         value = first.Get()
         for other in others:
             if other.HasAuthoredValue() and not math.isclose(value, other.Get(), rel_tol=1e-6):
-                note(f"{name}: {value:g} of {first.GetName()} is used, not {other.Get():g} of {other.GetName()}")
-        found[name] = value * meter**coefficient.length_power
-    return found
+                used = f"{value:g} of {first.GetName()} is used"
+                file.change(prim, f"{name}: {used}, not {other.Get():g} of {other.GetName()}")
+        found[name] = value * file.meter**coefficient.length_power
+    return found, positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())
 
 
 def _namespace(attribute: str) -> str:

@@ -1,6 +1,5 @@
 """Conversion of geometric prims to shapes."""
 
-from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -30,13 +29,6 @@ CONE_SECTIONS = 64
 
 class Unreadable(ValueError):
     """A prim cannot be converted to a shape."""
-
-
-def described(objects: dict, kinds: Iterable[Any]) -> Iterator[tuple[str, Any]]:
-    """Paths and descriptions of the objects of some kinds, from the parser of UsdPhysics."""
-    for kind in kinds:
-        for path, description in zip(*objects.get(kind, ([], [])), strict=True):
-            yield str(path), description
 
 
 def value_of(prim: Usd.Prim, name: str, otherwise: Any) -> Any:

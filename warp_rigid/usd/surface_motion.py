@@ -7,6 +7,7 @@ from pxr import Gf, Sdf, Usd
 
 from warp_rigid.usd.prims import value_of
 from warp_rigid.usd.specs import set_attribute
+from warp_rigid.usd.usd_file import UsdFile
 
 SURFACE_SCHEMA = "PhysxSurfaceVelocityAPI"
 PREFIX = "physxSurfaceVelocity:"
@@ -36,17 +37,14 @@ def has_surface_motion(prim: Usd.Prim) -> bool:
     return SURFACE_SCHEMA in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
 
 
-def read_surface_motion(
-    prim: Usd.Prim, rotation: np.ndarray, stretch: np.ndarray, to_z_up: np.ndarray, meter: float
-) -> SurfaceMotion:
+def read_surface_motion(file: UsdFile, prim: Usd.Prim, rotation: np.ndarray, stretch: np.ndarray) -> SurfaceMotion:
     """The motion of the surface of a body, in the frame of the body.
 
     Args:
+        file: the file.
         prim: of the body.
         rotation: (3, 3) of that frame in the world.
         stretch: (3, 3) with which lengths of the prim's frame are given in that frame [m].
-        to_z_up: (3, 3) from the world of the file to that of the scene.
-        meter: length unit of the file [m].
     """
     if not has_surface_motion(prim) or not value_of(prim, ENABLED, True):
         return SurfaceMotion(np.zeros(3), np.zeros(3))
@@ -54,7 +52,8 @@ def read_surface_motion(
     angular = np.radians(np.array(value_of(prim, ANGULAR, (0.0, 0.0, 0.0)), np.float64))
     if value_of(prim, LOCAL, True):
         return SurfaceMotion(stretch @ linear, angular)
-    return SurfaceMotion(rotation.T @ to_z_up @ (meter * linear), rotation.T @ to_z_up @ angular)
+    to_body = rotation.T @ file.to_z_up
+    return SurfaceMotion(to_body @ (file.meter * linear), to_body @ angular)
 
 
 def write_surface_motion(prim: Sdf.PrimSpec, linear: np.ndarray, angular: np.ndarray) -> None:
