@@ -28,8 +28,6 @@ LEAST_BYTES, MOST_EXPANSION = 2**29, 100
 """The arrays of a file may take 512 MiB [bytes], and this many times the size of the file in addition."""
 LEAST_HEADER, MOST_HEADER_EXPANSION = 2**22, 50
 """The same for the header, whose text takes more time and memory than an array: 4 MiB, and 50 times its own size."""
-CHUNK = 2**20
-"""Bytes read at once."""
 
 READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
@@ -133,37 +131,36 @@ class Members(Mapping[str, np.ndarray]):
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Read an array."""
-        with self._opened(name) as (stream, dtype, shape, fortran):
-            size = math.prod(shape) * dtype.itemsize
-            self._left[0] -= size
-            if self._left[0] < 0:
-                raise ValueError(f"{name} is too large for the size of the file")
-            content = _read(stream, size)
-        if len(content) != size:
-            raise ValueError(f"{name} is truncated")
-        array = np.frombuffer(content, dtype) if size else np.zeros(math.prod(shape), dtype)
-        return array.reshape(shape, order="F" if fortran else "C")
+        dtype, shape = self.declared(name)
+        self._left[0] -= math.prod(shape) * dtype.itemsize
+        if self._left[0] < 0:
+            raise ValueError(f"{name} is too large for the size of the file")
+        with self._opened(name) as (_, stream):
+            try:
+                return np.lib.format.read_array(stream, allow_pickle=False)
+            except ValueError:
+                raise ValueError(f"{name} is truncated") from None
 
     def declared(self, name: str) -> tuple[np.dtype, tuple[int, ...]]:
         """Type and shape of an array, without reading its values."""
-        with self._opened(name) as (_, dtype, shape, _):
+        with self._opened(name) as (member, stream):
+            reader = READERS.get(np.lib.format.read_magic(stream))
+            if reader is None:
+                raise ValueError(f"{name} is of an unknown format")
+            shape, _, dtype = reader(stream)
+            if dtype.kind not in "biufU":
+                raise ValueError(f"{name} must hold numbers or text, got {dtype}")
+            if math.prod(shape) * dtype.itemsize != member.file_size - stream.tell():
+                raise ValueError(f"{name} does not have its declared size")
             return dtype, shape
 
     @contextlib.contextmanager
-    def _opened(self, name: str) -> Iterator[tuple[Any, np.dtype, tuple[int, ...], bool]]:
-        """The stream of a member after its description, and its type, shape and order."""
+    def _opened(self, name: str) -> Iterator[tuple[zipfile.ZipInfo, Any]]:
+        """The description of a member, and its stream."""
         try:
             member = self._archive.getinfo(f"{self._prefix}{name}.npy")
             with self._archive.open(member) as stream:
-                reader = READERS.get(np.lib.format.read_magic(stream))
-                if reader is None:
-                    raise ValueError(f"{name} is of an unknown format")
-                shape, fortran, dtype = reader(stream)
-                if dtype.kind not in "biufU":
-                    raise ValueError(f"{name} must hold numbers or text, got {dtype}")
-                if math.prod(shape) * dtype.itemsize != member.file_size - stream.tell():
-                    raise ValueError(f"{name} does not have its declared size")
-                yield stream, dtype, shape, fortran
+                yield member, stream
         except OSError as error:
             raise ValueError(f"{name}: {error}") from None  # an offset beyond the end of the file
 
@@ -188,14 +185,3 @@ def shaped(arrays: Mapping[str, np.ndarray], name: str, dtype: Any, shape: tuple
     if kind != np.dtype(dtype) or not fits:
         raise ValueError(f"{name} must be {np.dtype(dtype)} shaped {shape}, got {kind} shaped {extent}")
     return arrays[name]
-
-
-def _read(stream: Any, size: int) -> bytearray:
-    """At most `size` bytes of a stream; the memory grows with what is there, not with what is declared."""
-    content = bytearray()
-    while len(content) < size:
-        part = stream.read(min(size - len(content), CHUNK))
-        if not part:
-            break
-        content += part
-    return content
