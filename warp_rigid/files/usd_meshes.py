@@ -5,12 +5,6 @@ import numpy as np
 from warp_rigid.files import polygons
 
 
-def usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) of one USD mesh, and the triangles of its polygons (m, 3)."""
-    points, corners, triangles = usd_corners(mesh)
-    return points, corners[triangles]
-
-
 def usd_corners(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (n, 3) of one USD mesh, the point of each corner of its polygons (c,), and triangles of corners (m, 3)."""
     from pxr import UsdGeom
@@ -39,11 +33,19 @@ def usd_coordinates(mesh, primvar, corners: np.ndarray, triangles: np.ndarray) -
     Raises:
         ValueError: The values are no pairs of finite numbers, or do not match the mesh.
     """
-    from pxr import Usd
+    from pxr import Usd, UsdGeom
 
-    interpolation = str(primvar.GetInterpolation())
+    interpolation, tokens = str(primvar.GetInterpolation()), UsdGeom.Tokens
     values = _numbers(primvar.ComputeFlattened(Usd.TimeCode.EarliestTime()))
-    places = _places(mesh, interpolation, corners, triangles)
+    ends = np.cumsum(np.array(mesh.GetFaceVertexCountsAttr().Get() or [], np.int64))
+    index_of_value = {
+        tokens.vertex: corners[triangles],
+        tokens.varying: corners[triangles],
+        tokens.faceVarying: triangles,
+        tokens.uniform: np.searchsorted(ends, triangles, side="right"),
+        tokens.constant: np.zeros_like(triangles),
+    }
+    places = index_of_value.get(interpolation)
     if values is None or places is None or places.max(initial=-1) >= len(values):
         found = "no pairs of finite numbers" if values is None else f"{len(values)} values"
         raise ValueError(f"{primvar.GetName()} is ignored: it has {found}, interpolated as {interpolation}")
@@ -56,17 +58,3 @@ def _numbers(values) -> np.ndarray | None:
     except (TypeError, ValueError):
         return None
     return found if found.ndim == 2 and found.shape[1] == 2 and np.isfinite(found).all() else None
-
-
-def _places(mesh, interpolation: str, corners: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
-    """Index of the value of each corner (m, 3); None for an unknown interpolation."""
-    from pxr import UsdGeom
-
-    if interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
-        return corners[triangles]
-    if interpolation == UsdGeom.Tokens.faceVarying:
-        return triangles
-    if interpolation == UsdGeom.Tokens.uniform:
-        ends = np.cumsum(np.array(mesh.GetFaceVertexCountsAttr().Get(), np.int64))
-        return np.searchsorted(ends, triangles, side="right")
-    return np.zeros_like(triangles) if interpolation == UsdGeom.Tokens.constant else None

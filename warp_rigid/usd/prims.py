@@ -6,7 +6,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.files.usd_meshes import usd_corners, usd_triangles
+from warp_rigid.files.usd_meshes import usd_corners
 from warp_rigid.scene.shapes import (
     Box,
     Capsule,
@@ -108,7 +108,8 @@ def triangles_of(prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
         Unreadable: The prim is of an unsupported type.
     """
     if prim.IsA(UsdGeom.Mesh):
-        return usd_triangles(UsdGeom.Mesh(prim))
+        points, corners, triangles = usd_corners(UsdGeom.Mesh(prim))
+        return points, corners[triangles]
     rotation = _rotation_to_z(prim)
     if prim.IsA(UsdGeom.Cone):
         cone = UsdGeom.Cone(prim)
