@@ -50,6 +50,12 @@ class Extent(NamedTuple):
     levels: int = 0
     arcs: int = 0
 
+    def plus(self, other: "Extent", levels: int = 0, arcs: int = 0) -> "Extent":
+        """That of a prim with another one, some levels below it, or behind some arcs."""
+        return Extent(
+            self.prims + other.prims, max(self.levels, other.levels + levels), max(self.arcs, other.arcs + arcs)
+        )
+
 
 Node = tuple[str, Sdf.Path]
 """A prim: the identifier of the strongest layer of its stack, and its path."""
@@ -152,21 +158,19 @@ class _Examination:
 
     def _count(self, node: Node) -> Generator[Node, Extent, Extent]:
         """Size of one prim; yields the prims it is composed of and receives their sizes."""
-        prims, levels, arcs = 1, 0, 0
+        found = Extent(1)
         specs = [spec for layer in self._stacks[node[0]] if (spec := layer.GetPrimAtPath(node[1]))]
         for child in dict.fromkeys(child.path for spec in specs for child in spec.nameChildren):
-            below = yield node[0], child
-            prims, levels, arcs = prims + below.prims, max(levels, below.levels + 1), max(arcs, below.arcs)
-        for variants in _variants(specs):
+            found = found.plus((yield node[0], child), levels=1)
+        for variants in [variants for spec in specs for variants in spec.variantSets.values()]:
             largest = Extent()
-            for path in variants:
-                below = yield node[0], path
+            for variant in variants.variants.values():  # of which one is selected
+                below = yield node[0], variant.path
                 largest = Extent(*map(max, largest, below))
-            prims, levels, arcs = prims + largest.prims, max(levels, largest.levels), max(arcs, largest.arcs)
+            found = found.plus(largest)
         for target in [target for spec in specs for target in self._targets(node, spec)]:
-            behind = yield target
-            prims, levels, arcs = prims + behind.prims, max(levels, behind.levels), max(arcs, behind.arcs + 1)
-        return Extent(prims, levels, arcs)
+            found = found.plus((yield target), arcs=1)
+        return found
 
     def _targets(self, node: Node, spec: Sdf.PrimSpec) -> Iterable[Node]:
         """Targets of the references, payloads, inherits and specializes of a prim."""
@@ -313,15 +317,6 @@ def _try_value(read: Any, *where: Any) -> None:
         read(*where)
     except (*UNREADABLE, RuntimeError):
         pass
-
-
-def _variants(specs: list[Sdf.PrimSpec]) -> list[list[Sdf.Path]]:
-    """Paths of the variants of each variant set, of which one is selected."""
-    return [
-        [variant.path for variant in variants.variants.values()]
-        for spec in specs
-        for variants in spec.variantSets.values()
-    ]
 
 
 def _about(count: int) -> str:
