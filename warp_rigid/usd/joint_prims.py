@@ -27,7 +27,7 @@ from warp_rigid.scene.joints.placing import local_frame, rotation_of_x_to, world
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.conventions import MARK, custom_data, gf_quaternion, lineage, quaternion_of_matrix
-from warp_rigid.usd.masses import SHARE, insert_links, positive, states_no_mass, with_point_mass
+from warp_rigid.usd.masses import SHARE, insert_links, positive, stated_center, states_no_mass, with_point_mass
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 from warp_rigid.usd.usd_file import JOINT_KINDS, Types, UsdFile
 
@@ -97,11 +97,8 @@ class JointReader:
         index, mass = self._body(part), positive(UsdPhysics.MassAPI(part).GetMassAttr())
         if index is not None and mass is not None and self._scene.bodies[index].motion == Motion.DYNAMIC:
             position, rotation, stretch = self._file.frame(part)
-            given = UsdPhysics.MassAPI(part).GetCenterOfMassAttr()
-            center = (
-                given.Get() if given and given.HasAuthoredValue() and np.isfinite(given.Get()).all() else np.zeros(3)
-            )
-            point = position + rotation @ (stretch @ np.array(center, dtype=np.float64))
+            center = stated_center(part)
+            point = position if center is None else position + rotation @ (stretch @ center)
             body = self._scene.bodies[index]
             local = rotations.rotate(rotations.inverse(np.array(body.orientation)), point - body.position)
             self._scene.bodies[index] = with_point_mass(body, local, mass * self._file.kilogram)

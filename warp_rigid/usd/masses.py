@@ -45,110 +45,108 @@ class Collider:
     """Transform from its prim to the body (4, 4), with the length unit [m]; None if that is the prim of the body."""
 
 
-class MassReader:
-    """Reads the mass properties of dynamic bodies.
+def mass_of_colliders(
+    file: UsdFile, prim: Usd.Prim, group: Sequence[Collider], shape: Shape, stretch: np.ndarray
+) -> tuple[Shape, float]:
+    """The shape of a body with the distribution of its mass, and the mass [kg].
 
     Args:
-        file: the file, which receives what of them cannot be imported.
+        file: the file.
+        prim: of the body.
+        group: its colliders.
+        shape: their common shape, in the frame of the body.
+        stretch: (3, 3) of the body [m].
+
+    Raises:
+        Unreadable: A mass or density is negative or not finite.
     """
+    parts = np.array([_mass_of(file, collider) for collider in group])
+    given = positive(UsdPhysics.MassAPI(prim).GetMassAttr())
+    mass = float(parts.sum()) if given is None else given * file.kilogram
+    weights = parts if parts.sum() > 0.0 else np.array([collider.shape.volume for collider in group])
+    own = combine(_piece(file, c, weight) for c, weight in zip(group, weights / weights.sum(), strict=True))
+    center, per_mass = _distribution(file, prim, mass, transform(stretch), own)
+    if _is_uniform(shape, center, per_mass):
+        return shape, mass
+    return with_distribution(shape, center, per_mass), mass
 
-    def __init__(self, file: UsdFile):
-        """Keep the file."""
-        self._file = file
 
-    def of_colliders(
-        self, prim: Usd.Prim, group: Sequence[Collider], shape: Shape, stretch: np.ndarray
-    ) -> tuple[Shape, float]:
-        """The shape of a body with the distribution of its mass, and the mass [kg].
+def mass_without_colliders(file: UsdFile, prim: Usd.Prim, stretch: np.ndarray) -> tuple[Shape, float]:
+    """A shape that touches nothing, and the mass [kg], of a body without colliders.
 
-        Args:
-            prim: of the body.
-            group: its colliders.
-            shape: their common shape, in the frame of the body.
-            stretch: (3, 3) of the body [m].
+    Raises:
+        Unreadable: The file does not state its mass and its moments of inertia.
+    """
+    mass = positive(UsdPhysics.MassAPI(prim).GetMassAttr())
+    if mass is None or _tensor(file, prim) is None:
+        raise Unreadable(f"and no {'mass' if mass is None else 'moments of inertia'}")
+    mass *= file.kilogram
+    nothing = MassProperties(1.0, np.zeros(3), np.zeros((3, 3)))
+    return Compound([], *_distribution(file, prim, mass, transform(stretch), nothing)), mass
 
-        Raises:
-            Unreadable: A mass or density is negative or not finite.
-        """
-        api = UsdPhysics.MassAPI(prim)
-        parts = np.array([self._mass_of(collider) for collider in group])
-        given = positive(api.GetMassAttr())
-        mass = float(parts.sum()) if given is None else given * self._file.kilogram
-        weights = parts if parts.sum() > 0.0 else np.array([collider.shape.volume for collider in group])
-        own = combine(self._piece(c, weight) for c, weight in zip(group, weights / weights.sum(), strict=True))
-        center, per_mass = self._distribution(prim, mass, transform(stretch), own)
-        if _is_uniform(shape, center, per_mass):
-            return shape, mass
-        return with_distribution(shape, center, per_mass), mass
 
-    def without_colliders(self, prim: Usd.Prim, stretch: np.ndarray) -> tuple[Shape, float]:
-        """A shape that touches nothing, and the mass [kg], of a body without colliders.
+def _mass_of(file: UsdFile, collider: Collider) -> float:
+    """Mass of a collider by its own mass or density [kg]."""
+    if collider.mass is not None:
+        return collider.mass * file.kilogram
+    unit = file.kilogram / file.meter**3
+    return (DEFAULT_DENSITY if collider.density is None else collider.density * unit) * collider.shape.volume
 
-        Raises:
-            Unreadable: The file does not state its mass and its moments of inertia.
-        """
-        api = UsdPhysics.MassAPI(prim)
-        mass = positive(api.GetMassAttr())
-        if mass is None or self._tensor(prim, api) is None:
-            raise Unreadable(f"and no {'mass' if mass is None else 'moments of inertia'}")
-        mass *= self._file.kilogram
-        nothing = MassProperties(1.0, np.zeros(3), np.zeros((3, 3)))
-        return Compound([], *self._distribution(prim, mass, transform(stretch), nothing)), mass
 
-    def _mass_of(self, collider: Collider) -> float:
-        """Mass of a collider by its own mass or density [kg]."""
-        if collider.mass is not None:
-            return collider.mass * self._file.kilogram
-        unit = self._file.kilogram / self._file.meter**3
-        return (DEFAULT_DENSITY if collider.density is None else collider.density * unit) * collider.shape.volume
+def _piece(file: UsdFile, collider: Collider, part: float) -> tuple[MassProperties, np.ndarray, np.ndarray]:
+    """A collider as a part of the mass of its body, in the frame of the body."""
+    own = collider.shape.mass_properties
+    scaled = MassProperties(1.0, own.center_of_mass, own.inertia / own.volume)
+    placed = combine([(scaled, collider.position, rotations.matrix(collider.orientation))])
+    center, per_mass = placed.center_of_mass, placed.inertia
+    if collider.frame is not None and (mass := _mass_of(file, collider)) > 0.0:
+        center, per_mass = _distribution(file, collider.prim, mass, collider.frame, placed)
+    return MassProperties(part, center, part * per_mass), np.zeros(3), np.eye(3)
 
-    def _piece(self, collider: Collider, part: float) -> tuple[MassProperties, np.ndarray, np.ndarray]:
-        """A collider as a part of the mass of its body, in the frame of the body."""
-        own = collider.shape.mass_properties
-        scaled = MassProperties(1.0, own.center_of_mass, own.inertia / own.volume)
-        placed = combine([(scaled, collider.position, rotations.matrix(collider.orientation))])
-        center, per_mass = placed.center_of_mass, placed.inertia
-        if collider.frame is not None and (mass := self._mass_of(collider)) > 0.0:
-            center, per_mass = self._distribution(collider.prim, mass, collider.frame, placed)
-        return MassProperties(part, center, part * per_mass), np.zeros(3), np.eye(3)
 
-    def _distribution(
-        self, prim: Usd.Prim, mass: float, frame: np.ndarray, own: MassProperties
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Centre of mass (3,) [m] and inertia about it per mass (3, 3) [m^2]; where not in the file, that of `own`.
+def _distribution(
+    file: UsdFile, prim: Usd.Prim, mass: float, frame: np.ndarray, own: MassProperties
+) -> tuple[np.ndarray, np.ndarray]:
+    """Centre of mass (3,) [m] and inertia about it per mass (3, 3) [m^2]; where not in the file, that of `own`.
 
-        `frame` is the transform from the prim to the body (4, 4), to which the results refer.
-        """
-        api = UsdPhysics.MassAPI(prim)
-        center, per_mass = own.center_of_mass, own.inertia
-        given = api.GetCenterOfMassAttr().Get() if api.GetCenterOfMassAttr().HasAuthoredValue() else None
-        # The default of the schema is minus infinity.
-        if given is not None and np.isfinite(given).all():
-            center = (frame @ np.array([*given, 1.0]))[:3]
-            per_mass = per_mass + steiner(center - own.center_of_mass)
-        tensor = self._tensor(prim, api)
-        if tensor is not None:
-            rotation, _ = polar(frame[:3, :3])
-            per_mass = rotation @ tensor @ rotation.T / mass
-        return center, per_mass
+    `frame` is the transform from the prim to the body (4, 4), to which the results refer.
+    """
+    center, per_mass = own.center_of_mass, own.inertia
+    given = stated_center(prim)
+    if given is not None:
+        center = (frame @ np.array([*given, 1.0]))[:3]
+        per_mass = per_mass + steiner(center - own.center_of_mass)
+    tensor = _tensor(file, prim)
+    if tensor is not None:
+        rotation, _ = polar(frame[:3, :3])
+        per_mass = rotation @ tensor @ rotation.T / mass
+    return center, per_mass
 
-    def _tensor(self, prim: Usd.Prim, api: UsdPhysics.MassAPI) -> np.ndarray | None:
-        """The inertia tensor in the frame of the prim (3, 3) [kg m^2]; None if the file does not state it."""
-        given = api.GetDiagonalInertiaAttr().Get()
-        moments = np.zeros(3) if given is None else np.array(given, dtype=np.float64)
-        if not moments.any():
-            return None
-        if not (np.isfinite(moments).all() and (moments > 0.0).all()):
-            self._file.change(prim, "moments of inertia: must be > 0; those of its shape are used")
-            return None
-        axes = api.GetPrincipalAxesAttr().Get()
-        orientation = np.array(
-            [*axes.GetImaginary(), axes.GetReal()] if axes else [0.0, 0.0, 0.0, 1.0], dtype=np.float64
-        )
-        # The default of the schema is a quaternion of zeros.
-        length = float(np.linalg.norm(orientation))
-        matrix = rotations.matrix(orientation / length) if length > 0.0 else np.eye(3)
-        return self._file.kilogram * self._file.meter**2 * matrix @ np.diag(moments) @ matrix.T
+
+def stated_center(prim: Usd.Prim) -> np.ndarray | None:
+    """The centre of mass that a file states for a prim, in its frame (3,); None without."""
+    attribute = UsdPhysics.MassAPI(prim).GetCenterOfMassAttr()
+    given = attribute.Get() if attribute and attribute.HasAuthoredValue() else None
+    # The default of the schema is minus infinity.
+    return np.array(given, np.float64) if given is not None and np.isfinite(given).all() else None
+
+
+def _tensor(file: UsdFile, prim: Usd.Prim) -> np.ndarray | None:
+    """The inertia tensor in the frame of the prim (3, 3) [kg m^2]; None if the file does not state it."""
+    api = UsdPhysics.MassAPI(prim)
+    given = api.GetDiagonalInertiaAttr().Get()
+    moments = np.zeros(3) if given is None else np.array(given, dtype=np.float64)
+    if not moments.any():
+        return None
+    if not (np.isfinite(moments).all() and (moments > 0.0).all()):
+        file.change(prim, "moments of inertia: must be > 0; those of its shape are used")
+        return None
+    axes = api.GetPrincipalAxesAttr().Get()
+    orientation = np.array([*axes.GetImaginary(), axes.GetReal()] if axes else [0.0, 0.0, 0.0, 1.0], dtype=np.float64)
+    # The default of the schema is a quaternion of zeros.
+    length = float(np.linalg.norm(orientation))
+    matrix = rotations.matrix(orientation / length) if length > 0.0 else np.eye(3)
+    return file.kilogram * file.meter**2 * matrix @ np.diag(moments) @ matrix.T
 
 
 def is_of_mujoco(collider: Usd.Prim) -> bool:
@@ -232,9 +230,9 @@ def velocity_at(body: Body, point: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def scale_to_total(stage: Usd.Stage, scene: Scene) -> None:
+def scale_to_total(file: UsdFile, scene: Scene) -> None:
     """Scale all masses to the total that a file of MuJoCo states (`settotalmass`), if it does."""
-    for prim in stage.Traverse():
+    for prim in file.stage.Traverse():
         total = prim.GetAttribute("mjc:compiler:setTotalMass").Get()
         if total is not None and 0.0 < total < math.inf:
             share = float(total) / max(sum(body.mass for body in scene.bodies), 1e-30)

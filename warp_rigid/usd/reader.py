@@ -19,7 +19,14 @@ from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.instancing import OF_ORIGIN
 from warp_rigid.usd.joint_prims import JOINT_SCHEMAS, JointReader
-from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
+from warp_rigid.usd.masses import (
+    Collider,
+    is_of_mujoco,
+    mass_of_colliders,
+    mass_without_colliders,
+    positive,
+    scale_to_total,
+)
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.preview_surface import read_look
 from warp_rigid.usd.prims import Unreadable, convert_prim, matrix_of
@@ -76,7 +83,6 @@ class Reader:
     def __init__(self, file: UsdFile, sdf_resolution: int):
         """Prepare without reading."""
         self._file, self._sdf_resolution = file, sdf_resolution
-        self._masses = MassReader(file)
         self._shapes: dict[str, Shape] = {}
 
     def scene(self) -> Scene:
@@ -92,7 +98,7 @@ class Reader:
         self._report_surfaces(bodies)
         for body in bodies:
             self._add(body)
-        scale_to_total(file.stage, scene)
+        scale_to_total(file, scene)
         filter_pairs(file, scene)
         JointReader(file, scene).read()
         self._read_cameras()
@@ -222,7 +228,7 @@ class Reader:
             self._file.leave_out(body.prim.GetPath(), reason)
             return
         try:
-            shape, mass = self._masses.without_colliders(body.prim, stretch)
+            shape, mass = mass_without_colliders(self._file, body.prim, stretch)
             index = self._scene.add_body(
                 shape,
                 mass=mass,
@@ -257,10 +263,9 @@ class Reader:
             add = scene.add_static if body.motion == Motion.STATIC else scene.add_kinematic
         try:
             if body.motion == Motion.DYNAMIC:
-                shape, given["mass"] = self._masses.of_colliders(body.prim, group, shape, stretch)
+                shape, given["mass"] = mass_of_colliders(self._file, body.prim, group, shape, stretch)
             else:
-                surface = read_surface_motion(self._file, body.prim, rotation, stretch)
-                given |= surface.in_frame(place_in_body, turn).keywords
+                given |= read_surface_motion(self._file, body.prim, rotation, stretch, place_in_body, turn)
             if motion is not None:
                 del given["position"], given["orientation"]
                 given["path"] = motion

@@ -1,7 +1,5 @@
 """Surfaces that run, as the attributes of PhysX for conveyor belts: read and written by name, without its schema."""
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from pxr import Gf, Sdf, Usd
 
@@ -15,45 +13,38 @@ LINEAR, ANGULAR = PREFIX + "surfaceVelocity", PREFIX + "surfaceAngularVelocity"
 ENABLED, LOCAL = PREFIX + "surfaceVelocityEnabled", PREFIX + "surfaceVelocityLocalSpace"
 
 
-class SurfaceMotion(NamedTuple):
-    """Velocity (3,) [m/s] and angular velocity (3,) [rad/s] of a surface, about the origin of the frame they are in."""
-
-    linear: np.ndarray
-    angular: np.ndarray
-
-    def in_frame(self, position: np.ndarray, rotation: np.ndarray) -> "SurfaceMotion":
-        """The same motion in a frame at a position (3,) and with a rotation matrix (3, 3) in this one."""
-        return SurfaceMotion(rotation.T @ (self.linear + np.cross(self.angular, position)), rotation.T @ self.angular)
-
-    @property
-    def keywords(self) -> dict[str, Any]:
-        """Keywords of `Scene.add_static`; none for a surface that does not run."""
-        values = {"surface_velocity": self.linear, "surface_angular_velocity": self.angular}
-        return {name: value for name, value in values.items() if value.any()}
-
-
 def has_surface_motion(prim: Usd.Prim) -> bool:
     """Whether the surface of a prim may run."""
     return SURFACE_SCHEMA in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
 
 
-def read_surface_motion(file: UsdFile, prim: Usd.Prim, rotation: np.ndarray, stretch: np.ndarray) -> SurfaceMotion:
-    """The motion of the surface of a body, in the frame of the body.
+def read_surface_motion(
+    file: UsdFile, prim: Usd.Prim, rotation: np.ndarray, stretch: np.ndarray, place: np.ndarray, turn: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Keywords of `Scene.add_static` with the motion of the surface of a body; none for a surface that does not run.
 
     Args:
         file: the file.
         prim: of the body.
-        rotation: (3, 3) of that frame in the world.
+        rotation: (3, 3) of the frame of the body in the world.
         stretch: (3, 3) with which lengths of the prim's frame are given in that frame [m].
+        place: position (3,) of the shape in that frame [m].
+        turn: rotation (3, 3) of the shape in that frame.
     """
     if not has_surface_motion(prim) or not value_of(prim, ENABLED, True):
-        return SurfaceMotion(np.zeros(3), np.zeros(3))
+        return {}
     linear = np.array(value_of(prim, LINEAR, (0.0, 0.0, 0.0)), np.float64)
     angular = np.radians(np.array(value_of(prim, ANGULAR, (0.0, 0.0, 0.0)), np.float64))
     if value_of(prim, LOCAL, True):
-        return SurfaceMotion(stretch @ linear, angular)
-    to_body = rotation.T @ file.to_z_up
-    return SurfaceMotion(to_body @ (file.meter * linear), to_body @ angular)
+        linear = stretch @ linear
+    else:
+        to_body = rotation.T @ file.to_z_up
+        linear, angular = to_body @ (file.meter * linear), to_body @ angular
+    motion = {
+        "surface_velocity": turn.T @ (linear + np.cross(angular, place)),
+        "surface_angular_velocity": turn.T @ angular,
+    }
+    return {name: value for name, value in motion.items() if value.any()}
 
 
 def write_surface_motion(prim: Sdf.PrimSpec, linear: np.ndarray, angular: np.ndarray) -> None:
