@@ -186,44 +186,40 @@ def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
 
 
 def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientation, time: float) -> Sdf.PrimSpec:
-    """Write one collider at a time [s]."""
+    """Write one collider at a time [s]; a shape for which USD has no schema is written as its triangles."""
     if isinstance(shape, Plane):
         position, orientation = _frame_of_plane(shape)
-    prim = define(layer, path, "Mesh", ["PhysicsCollisionAPI", "MaterialBindingAPI"])
-    scale = _write_geometry(shape, prim, time)
-    write_pose(prim, position, orientation, scale)
-    return prim
-
-
-def _write_geometry(shape: Shape, prim: Sdf.PrimSpec, time: float) -> np.ndarray | None:
-    """Write a shape's type and geometry, and return the scale of its prim, if it has one.
-
-    A shape for which USD has no schema is written as its triangles.
-    """
     names = Sdf.ValueTypeNames
-    if isinstance(shape, Box):
-        _begin_primitive(prim, "Cube", np.ones(3))
-        set_attribute(prim, "size", names.Double, 2.0)
-        return shape.half_extents
-    if isinstance(shape, Sphere):
-        _begin_primitive(prim, "Sphere", shape.bounds[1])
-        set_attribute(prim, "radius", names.Double, shape.radius)
-    elif isinstance(shape, Capsule | Cylinder):
-        _begin_primitive(prim, type(shape).__name__, shape.bounds[1])
-        set_attribute(prim, "axis", names.Token, "Z", uniform=True)
-        set_attribute(prim, "radius", names.Double, shape.radius)
-        set_attribute(prim, "height", names.Double, 2.0 * shape.half_height)
-    elif isinstance(shape, Plane):
-        _begin_primitive(prim, "Plane", np.array([0.5 * PLANE_WIDTH, 0.5 * PLANE_WIDTH, 0.0]))
-        set_attribute(prim, "axis", names.Token, "Z", uniform=True)
-        set_attribute(prim, "width", names.Double, PLANE_WIDTH)
-        set_attribute(prim, "length", names.Double, PLANE_WIDTH)
+    prim = define(layer, path, "Mesh", ["PhysicsCollisionAPI", "MaterialBindingAPI"])
+    primitive = _primitive(shape)
+    if primitive is not None:
+        prim.typeName, upper, values = primitive
+        set_attribute(prim, "extent", names.Float3Array, vec3f([-upper, upper]))
+        for name, value in values.items():
+            type_name = names.Token if name == "axis" else names.Double
+            set_attribute(prim, name, type_name, value, uniform=name == "axis")
     elif isinstance(shape, Mesh):
         _write_solid(prim, shape)
     else:
         _write_triangles(prim, shape)
         if isinstance(shape, Heightfield):
             prim.SetInfo("customData", {MARK: _heightfield_data(shape, time)})
+    write_pose(prim, position, orientation, shape.half_extents if isinstance(shape, Box) else None)
+    return prim
+
+
+def _primitive(shape: Shape) -> tuple[str, np.ndarray, dict[str, Any]] | None:
+    """The type of a prim for a shape, the upper corner of its bounds before its scale, and its attributes, if any."""
+    if isinstance(shape, Box):
+        return "Cube", np.ones(3), {"size": 2.0}
+    if isinstance(shape, Sphere):
+        return "Sphere", shape.bounds[1], {"radius": shape.radius}
+    if isinstance(shape, Capsule | Cylinder):
+        sizes = {"axis": "Z", "radius": shape.radius, "height": 2.0 * shape.half_height}
+        return type(shape).__name__, shape.bounds[1], sizes
+    if isinstance(shape, Plane):
+        upper = np.array([0.5 * PLANE_WIDTH, 0.5 * PLANE_WIDTH, 0.0])
+        return "Plane", upper, {"axis": "Z", "width": PLANE_WIDTH, "length": PLANE_WIDTH}
     return None
 
 
@@ -232,10 +228,8 @@ def _write_solid(prim: Sdf.PrimSpec, shape: Mesh) -> None:
     _write_triangles(prim, shape, "NewtonSDFCollisionAPI")
     rounded = -(-shape.sdf_resolution // SDF_BLOCK) * SDF_BLOCK
     set_attribute(prim, "newton:sdfMaxResolution", Sdf.ValueTypeNames.Int, rounded, uniform=True)
-    data: dict[str, Any] = {"sdfResolution": shape.sdf_resolution}
-    if shape.uv is not None:
-        data["uv"] = True
-    prim.SetInfo("customData", {MARK: data})
+    uv = {} if shape.uv is None else {"uv": True}
+    prim.SetInfo("customData", {MARK: {"sdfResolution": shape.sdf_resolution, **uv}})
 
 
 def _heightfield_data(shape: Heightfield, time: float) -> dict[str, Any]:
@@ -251,12 +245,6 @@ def _heightfield_data(shape: Heightfield, time: float) -> dict[str, Any]:
             "heightfieldFrequency": shape.angular_frequency,
         }
     return data
-
-
-def _begin_primitive(prim: Sdf.PrimSpec, type_name: str, upper: np.ndarray) -> None:
-    """Set the type of a prim, and its extent from the upper corner of its bounds, before its scale."""
-    prim.typeName = type_name
-    set_attribute(prim, "extent", Sdf.ValueTypeNames.Float3Array, vec3f([-upper, upper]))
 
 
 def _write_triangles(prim: Sdf.PrimSpec, shape: Shape, *apis: str) -> None:
