@@ -19,7 +19,7 @@ from warp_rigid.scene.shapes import Compound, Shape
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
 from warp_rigid.usd.conventions import polar, transform
-from warp_rigid.usd.prims import Unreadable
+from warp_rigid.usd.prims import Unreadable, authored
 from warp_rigid.usd.usd_file import UsdFile
 
 DEFAULT_DENSITY = 1000.0
@@ -125,8 +125,7 @@ def _distribution(
 
 def stated_center(prim: Usd.Prim) -> np.ndarray | None:
     """The centre of mass that a file states for a prim, in its frame (3,); None without."""
-    attribute = UsdPhysics.MassAPI(prim).GetCenterOfMassAttr()
-    given = attribute.Get() if attribute and attribute.HasAuthoredValue() else None
+    given = authored(prim, "physics:centerOfMass")
     # The default of the schema is minus infinity.
     return np.array(given, np.float64) if given is not None and np.isfinite(given).all() else None
 

@@ -38,6 +38,12 @@ def value_of(prim: Usd.Prim, name: str, otherwise: Any) -> Any:
     return otherwise if value is None else value
 
 
+def authored(prim: Usd.Prim, name: str) -> Any:
+    """The value of an attribute that a file sets; None where it does not."""
+    attribute = prim.GetAttribute(name)
+    return attribute.Get() if attribute and attribute.HasAuthoredValue() else None
+
+
 def custom_array(custom: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """An array of the custom data; one length of the shape may be -1.
 
@@ -174,8 +180,7 @@ def _mesh(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[s
         )
     if not len(faces):
         raise Unreadable("the mesh has no triangles")
-    attribute = prim.GetAttribute("physics:approximation")
-    approximation = str(attribute.Get()) if attribute and attribute.HasAuthoredValue() else "none"
+    approximation = str(authored(prim, "physics:approximation") or "none")
     if approximation not in ("none", "sdf"):
         notes.append(f"approximation {approximation} is ignored: the mesh itself collides")
     uv = read_uv(prim, corners, triangles, notes)
@@ -199,18 +204,14 @@ def _heightfield_arguments(custom: dict, heights: np.ndarray, size: np.ndarray) 
 def _resolution(prim: Usd.Prim, vertices, matrix, default: int, notes: list[str]) -> int:
     """Resolution of the signed distance grid."""
     for name in ("sdfNarrowBandInner", "sdfNarrowBandOuter", "sdfPadding", "sdfTextureFormat"):
-        attribute = prim.GetAttribute(f"newton:{name}")
-        if attribute and attribute.HasAuthoredValue():
+        if authored(prim, f"newton:{name}") is not None:
             notes.append(f"newton:{name} is ignored: the grid covers the whole mesh with a margin of 3 cells")
-    voxel = prim.GetAttribute("newton:sdfTargetVoxelSize")
-    resolution = prim.GetAttribute("newton:sdfMaxResolution")
-    if voxel and voxel.HasAuthoredValue() and voxel.Get() > 0.0:
+    voxel, resolution = (authored(prim, f"newton:sdf{name}") for name in ("TargetVoxelSize", "MaxResolution"))
+    if voxel is not None and voxel > 0.0:
         scale = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
         longest = float(np.ptp(vertices @ matrix[:3, :3].T, axis=0).max())
-        return int(np.clip(np.ceil(longest / (voxel.Get() * scale)), 8, 512))
-    if resolution and resolution.HasAuthoredValue():
-        return whole_in("newton:sdfMaxResolution", resolution.Get(), 8, 512)
-    return default
+        return int(np.clip(np.ceil(longest / (voxel * scale)), 8, 512))
+    return default if resolution is None else whole_in("newton:sdfMaxResolution", resolution, 8, 512)
 
 
 def _mesh_in_frame(vertices, faces, matrix: np.ndarray, sdf_resolution: int, notes: list[str], uv=None) -> Mesh:
