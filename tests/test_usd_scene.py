@@ -129,6 +129,16 @@ def test_every_kind_of_body_comes_back(mixed, tmp_path, suffix):
     assert_same(mixed, back)
 
 
+def test_colliders_below_a_static_body_can_be_read_alone(tmp_path):
+    """Those of a written file, by the path of the prim that holds them: their poses are relative to it."""
+    scene = wr.Scene()
+    parts = [(wr.Box((0.1, 0.2, 0.3)), (0, 0, 0), (0, 0, 0, 1)), (wr.Sphere(0.2), (1, 0, 0), (0, 0, 0, 1))]
+    scene.add_static(wr.Compound(parts), position=(5, 0, 0), name="wall")
+    wr.export_usd(start_of(scene), tmp_path / "a.usda")
+    found = wr.import_usd(tmp_path / "a.usda", root="/World/env_0000/wall/geometry").bodies
+    assert [body.position for body in found] == [(0, 0, 0), (1, 0, 0)]
+
+
 @pytest.mark.parametrize("name", scenes.names())
 def test_built_in_scene_comes_back(name, tmp_path):
     scene = small(name)

@@ -193,10 +193,11 @@ class Reader:
             body.colliders.sort(key=lambda prim: order[str(prim.GetPath())])
         return [bodies[path] for path in sorted(bodies, key=lambda path: order[path])]
 
-    @staticmethod
-    def _static_owner(prim: Usd.Prim) -> Usd.Prim:
+    def _static_owner(self, prim: Usd.Prim) -> Usd.Prim:
         """The prim written by this package for a static body with several colliders, else the collider itself."""
-        return next((above for above in lineage(prim) if "motion" in custom_data(above)), prim)
+        root = self._file.root.GetPath()
+        within = [above for above in lineage(prim) if above.GetPath().HasPrefix(root)]
+        return next((above for above in within if "motion" in custom_data(above)), prim)
 
     def _add(self, body: _Body) -> None:
         """Add one body, or several for static colliders of one prim that cannot form a compound."""
