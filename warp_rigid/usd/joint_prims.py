@@ -199,18 +199,14 @@ class JointReader:
 
     def _is_held_by_others(self, index: int) -> bool:
         """Whether another hinge of the same bodies has an axis of another direction: files of robots have such ones."""
-        entry = self._scene.joints[index]
-        if entry.joint.coordinate != Coordinate.ANGLE:
+        bodies, joints = self._scene.bodies, self._scene.joints[: index + 1]
+        if joints[index].joint.coordinate != Coordinate.ANGLE:
             return False
-        bodies = self._scene.bodies
-        axis = rotations.matrix(world_frame(bodies[entry.body_a], entry.frame_a)[1])[:, 0]
-        for other in self._scene.joints[:index]:
-            same = {other.body_a, other.body_b} == {entry.body_a, entry.body_b}
-            if same and other.joint.coordinate == Coordinate.ANGLE:
-                along = rotations.matrix(world_frame(bodies[other.body_a], other.frame_a)[1])[:, 0]
-                if abs(float(axis @ along)) < PARALLEL:
-                    return True
-        return False
+        pair = {joints[index].body_a, joints[index].body_b}
+        hinges = [hinge for hinge in joints if hinge.joint.coordinate == Coordinate.ANGLE]
+        same = [hinge for hinge in hinges if {hinge.body_a, hinge.body_b} == pair]
+        axes = [rotations.matrix(world_frame(bodies[hinge.body_a], hinge.frame_a)[1])[:, 0] for hinge in same]
+        return any(abs(float(axes[-1] @ axis)) < PARALLEL for axis in axes[:-1])
 
     def _side(self, prim: Usd.Prim, end: str, path: Any) -> tuple[int | None, np.ndarray, np.ndarray]:
         """The body of one end, None for the world, and the frame of the joint in the world."""
