@@ -39,7 +39,6 @@ UPWARD = {
     ("render.film", "usd.preview_surface"): "draws a film that is a USD file",
     ("runs.runner", "usd"): "runs a scene that is a USD file",
     ("runs.runner", "usd.load"): "runs a scene that is a USD file",
-    ("runs.runner", "usd.options"): "runs a scene that is a USD file",
     ("runs.runner", "usd.robots"): "runs a scene that is an MJCF or URDF file",
     ("scene.shapes.distance_grid", "engine.cores"): "bakes a grid on several cores",
     ("viewer.live", "commands.terminal"): "prints its address as the commands do",

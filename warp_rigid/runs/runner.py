@@ -19,6 +19,7 @@ from warp_rigid.engine.health_checks import WARNING_NAMES
 from warp_rigid.engine.quantities import VECTOR_LENGTHS, owner_of
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.files.mesh_files import USD_SUFFIXES
 from warp_rigid.runs.assignments import SELECTING, Assignments, sort_assignments
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome, scene_of_file
 from warp_rigid.runs.progress import Checkpoints, Progress
@@ -31,7 +32,6 @@ from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.scenes.demo import OverlapOutcome
 from warp_rigid.usd import import_usd
 from warp_rigid.usd.load import film_duration
-from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
 from warp_rigid.usd.robots import ROBOT_SUFFIXES, import_robot
 from warp_rigid.version import __version__
 

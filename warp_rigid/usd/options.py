@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from warp_rigid.checks import one_of, shown
+from warp_rigid.files.mesh_files import USD_SUFFIXES
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs.recording import Recording
 
-SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 PROFILES = ("auto", "animation", "scene")
 LAYOUTS = ("single", "payloads", "clips", "override")
 MAX_SCENE_BODIES = 2000
@@ -38,8 +38,8 @@ class UsdOptions:
 
     def check_path(self, path: Path) -> None:
         """Check the suffix, and that it supports the layout."""
-        if path.suffix not in SUFFIXES:
-            raise ValueError(f"path: must end in one of {', '.join(SUFFIXES)}, got {path}")
+        if path.suffix not in USD_SUFFIXES:
+            raise ValueError(f"path: must end in one of {', '.join(USD_SUFFIXES)}, got {path}")
         if path.suffix == ".usdz" and self.layout != "single":
             raise ValueError(f"layout: must be single for .usdz, got {self.layout}; use .usdc or .usda")
 
