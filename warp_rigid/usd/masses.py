@@ -19,7 +19,7 @@ from warp_rigid.scene.shapes import Compound, Shape
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
 from warp_rigid.usd.conventions import polar, transform
-from warp_rigid.usd.prims import Unreadable, authored
+from warp_rigid.usd.prims import authored
 from warp_rigid.usd.usd_file import UsdFile
 
 DEFAULT_DENSITY = 1000.0
@@ -58,7 +58,7 @@ def mass_of_colliders(
         stretch: (3, 3) of the body [m].
 
     Raises:
-        Unreadable: A mass or density is negative or not finite.
+        ValueError: A mass or density is negative or not finite.
     """
     parts = np.array([_mass_of(file, collider) for collider in group])
     given = positive(UsdPhysics.MassAPI(prim).GetMassAttr())
@@ -75,11 +75,11 @@ def mass_without_colliders(file: UsdFile, prim: Usd.Prim, stretch: np.ndarray) -
     """A shape that touches nothing, and the mass [kg], of a body without colliders.
 
     Raises:
-        Unreadable: The file does not state its mass and its moments of inertia.
+        ValueError: The file does not state its mass and its moments of inertia.
     """
     mass = positive(UsdPhysics.MassAPI(prim).GetMassAttr())
     if mass is None or _tensor(file, prim) is None:
-        raise Unreadable(f"and no {'mass' if mass is None else 'moments of inertia'}")
+        raise ValueError(f"and no {'mass' if mass is None else 'moments of inertia'}")
     mass *= file.kilogram
     nothing = MassProperties(1.0, np.zeros(3), np.zeros((3, 3)))
     return Compound([], *_distribution(file, prim, mass, transform(stretch), nothing)), mass
@@ -243,13 +243,13 @@ def positive(attribute: Usd.Attribute) -> float | None:
     """A mass or density; None if it is not authored or zero, which USD ignores.
 
     Raises:
-        Unreadable: It is negative or not finite.
+        ValueError: It is negative or not finite.
     """
     value = attribute.Get() if attribute else None
     if value is None or value == 0.0:
         return None
     if not 0.0 < value < math.inf:
-        raise Unreadable(f"{attribute.GetName()}: must be a finite number >= 0, got {value:g}")
+        raise ValueError(f"{attribute.GetName()}: must be a finite number >= 0, got {value:g}")
     return float(value)
 
 

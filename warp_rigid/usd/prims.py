@@ -27,10 +27,6 @@ SCALE_TOLERANCE = 1e-5
 CONE_SECTIONS = 64
 
 
-class Unreadable(ValueError):
-    """A prim cannot be converted to a shape."""
-
-
 def value_of(prim: Usd.Prim, name: str, otherwise: Any) -> Any:
     """The value of an attribute; a default where the file has none and the schema is not installed."""
     attribute = prim.GetAttribute(name)
@@ -48,24 +44,24 @@ def custom_array(custom: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """An array of the custom data; one length of the shape may be -1.
 
     Raises:
-        Unreadable: The value is missing, not numeric, or of another shape.
+        ValueError: The value is missing, not numeric, or of another shape.
     """
     try:
         return np.array(custom[name], dtype=np.float64).reshape(shape)
     except (KeyError, TypeError, ValueError):
         lengths = " x ".join("n" if length < 0 else str(length) for length in shape)
-        raise Unreadable(f"{name}: must be {lengths} numbers in the custom data of {MARK}") from None
+        raise ValueError(f"{name}: must be {lengths} numbers in the custom data of {MARK}") from None
 
 
 def matrix_of(transform) -> np.ndarray:
     """Convert a USD matrix to the convention `matrix @ column`, (4, 4).
 
     Raises:
-        Unreadable: The matrix is not finite.
+        ValueError: The matrix is not finite.
     """
     matrix = np.array(transform).T
     if not np.isfinite(matrix).all():
-        raise Unreadable("transform: must be finite numbers")
+        raise ValueError("transform: must be finite numbers")
     return matrix
 
 
@@ -82,7 +78,7 @@ def convert_prim(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes:
         Shape, position (3,) [m], orientation (4,).
 
     Raises:
-        Unreadable: The prim is of another type or is not solid.
+        ValueError: The prim is of another type or is not solid.
     """
     identity = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
     if prim.IsA(UsdGeom.Mesh):
@@ -94,7 +90,7 @@ def convert_prim(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes:
         return Plane(normal, float(normal @ matrix[:3, 3])), *identity
     lengths = np.linalg.norm(axes, axis=0)
     if not (lengths > 0.0).all():
-        raise Unreadable("scale: must not be zero")
+        raise ValueError("scale: must not be zero")
     units = axes / lengths
     straight = np.abs(units.T @ units - np.eye(3)).max() < SCALE_TOLERANCE
     shape = _scaled(prim, lengths) if straight else None
@@ -111,7 +107,7 @@ def triangles_of(prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
     """Triangles of a geometric prim in its own frame and units: vertices (n, 3), faces (m, 3).
 
     Raises:
-        Unreadable: The prim is of an unsupported type.
+        ValueError: The prim is of an unsupported type.
     """
     if prim.IsA(UsdGeom.Mesh):
         points, corners, triangles = usd_corners(UsdGeom.Mesh(prim))
@@ -155,7 +151,7 @@ def _scaled(prim: Usd.Prim, scale: np.ndarray) -> Shape | None:
         return Cylinder(radius, half_height) if round_ else None
     if prim.IsA(UsdGeom.Cone):
         return None
-    raise Unreadable(f"a {prim.GetTypeName() or 'prim without type'} is not a supported shape")
+    raise ValueError(f"a {prim.GetTypeName() or 'prim without type'} is not a supported shape")
 
 
 def _is_uniform(scale: np.ndarray) -> bool:
@@ -172,14 +168,14 @@ def _mesh(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[s
             whole_in(name, custom.get(name), 2, 2**31) for name in ("heightfieldRows", "heightfieldColumns")
         )
         if rows * columns != len(vertices):
-            raise Unreadable(
+            raise ValueError(
                 f"heightfieldRows: times heightfieldColumns must be {len(vertices)}, the number of mesh points"
             )
         return Heightfield(
             *_heightfield_arguments(custom, vertices[:, 2].reshape(rows, columns), np.ptp(vertices[:, :2], axis=0))
         )
     if not len(faces):
-        raise Unreadable("the mesh has no triangles")
+        raise ValueError("the mesh has no triangles")
     approximation = str(authored(prim, "physics:approximation") or "none")
     if approximation not in ("none", "sdf"):
         notes.append(f"approximation {approximation} is ignored: the mesh itself collides")
@@ -221,10 +217,7 @@ def _mesh_in_frame(vertices, faces, matrix: np.ndarray, sdf_resolution: int, not
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         faces = faces[:, ::-1]
         uv = None if uv is None else uv[:, ::-1]
-    try:
-        mesh = Mesh(vertices, faces, sdf_resolution, uv=uv)
-    except ValueError as error:
-        raise Unreadable(str(error)) from None
+    mesh = Mesh(vertices, faces, sdf_resolution, uv=uv)
     if not mesh.watertight:
         notes.append("the mesh is open: it collides as a solid with its holes capped")
     return mesh

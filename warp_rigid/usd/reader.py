@@ -29,7 +29,7 @@ from warp_rigid.usd.masses import (
 )
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.preview_surface import read_look
-from warp_rigid.usd.prims import Unreadable, convert_prim, matrix_of
+from warp_rigid.usd.prims import convert_prim, matrix_of
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
 from warp_rigid.usd.usd_file import COLLIDERS, JOINT_KINDS, Types, UsdFile
 
@@ -203,7 +203,7 @@ class Reader:
         """Add one body, or several for static colliders of one prim that cannot form a compound."""
         try:
             frame = self._file.frame(body.prim)
-        except Unreadable as error:
+        except ValueError as error:
             self._file.leave_out(body.prim.GetPath(), str(error))
             return
         found = [collider for prim in body.colliders if (collider := self._collider(prim, body, frame[2]))]
