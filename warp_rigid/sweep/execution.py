@@ -167,7 +167,7 @@ def sweep(
         with watch.of("plan"):
             groups = group_runs(job, missing)
         if trajectories is not None:
-            book.trajectories = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
+            book.trajectories = Trajectories(trajectories, about, resume, overwrite)
         if job.series:
             book.series = (
                 Series(output, resume) if series_output is None else ZarrSeries(series_output, about, resume, overwrite)

@@ -29,37 +29,6 @@ def series_folder(output: Any) -> Path:
     return Path(output).with_suffix(SUFFIX)
 
 
-def open_zarr(name: str, folder: Path, resume: bool, overwrite: bool) -> Any:
-    """Open or create the zarr folder of an argument of `sweep`.
-
-    Raises:
-        ValueError: The path has another suffix, or exists and is neither resumed nor overwritten.
-    """
-    import zarr
-
-    if folder.suffix != ZARR:
-        raise ValueError(f"{name}: must end in {ZARR}, got {folder}")
-    if folder.exists() and not resume:
-        if not overwrite:
-            raise ValueError(f"{folder}: {EXISTS}")
-        shutil.rmtree(folder)
-    return zarr.open_group(folder, mode="a")
-
-
-def array_of_runs(
-    group: Any, name: str, shape: tuple[int, ...], runs_per_chunk: int, dtype: Any, dimensions: list[str]
-) -> Any:
-    """The zarr array (runs, samples, ...) of a name, created or enlarged if needed; missing values are NaN."""
-    if name not in group:
-        chunks = (runs_per_chunk, *shape[1:])
-        group.create_array(name, shape=shape, chunks=chunks, dtype=dtype, fill_value=np.nan, dimension_names=dimensions)
-    array = group[name]
-    wanted = (*map(max, array.shape[:2], shape[:2]), *array.shape[2:])
-    if wanted != array.shape:
-        array.resize(wanted)
-    return array
-
-
 class Series:
     """The time series of a sweep.
 
@@ -100,57 +69,14 @@ class Series:
         return read_series(self.folder) if self.folder is not None else _in_order(self.parts)
 
 
-class ZarrSeries:
-    """The time series of a sweep in a zarr folder.
+class ZarrFolder:
+    """A zarr folder with arrays (runs, ...), indexed by the column `run` of the table; missing values are NaN.
 
-    It contains `time` (runs, samples) [s] and one array (runs, samples, ...) for each series, indexed by the column
-    `run` of the table. Missing values are NaN. Chunks are replaced atomically; as in `Series`, the series of a run are
-    complete before its row is written.
+    Chunks are replaced atomically; as in `Series`, all of a run is written before its row.
 
     Args:
+        argument: the argument of `sweep` that is the path, for messages.
         path: the folder; must end in .zarr.
-        about: metadata of the sweep.
-        resume: add to an existing folder.
-        overwrite: replace an existing folder.
-
-    Raises:
-        ValueError: As open_zarr, or the folder contains the series of a different sweep.
-    """
-
-    def __init__(self, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
-        """Open or create the folder."""
-        self.folder = Path(path)
-        self._root = open_zarr("series_output", self.folder, resume, overwrite)
-        own = {name: about[name] for name in ("scene", "duration", "fps", "version", "series")}
-        before = self._root.attrs.get("warp_rigid", own)
-        if before != own:
-            raise ValueError(f"{path}: holds the series of a different sweep; choose another name")
-        self._root.attrs["warp_rigid"] = own
-        self._runs = about["runs"]
-
-    def add(self, runs: Sequence[Run], looks: dict[str, np.ndarray]) -> None:
-        """See Series.add."""
-        rows = np.array([run.index for run in runs])
-        for name, of_runs in looks.items():
-            names = ["run", "sample", "component"][: of_runs.ndim]
-            array = array_of_runs(self._root, name, (self._runs, *of_runs.shape[1:]), RUNS_PER_CHUNK, np.float64, names)
-            array.set_orthogonal_selection((rows, slice(0, of_runs.shape[1])), of_runs.astype(np.float64))
-
-    def table(self) -> Any:
-        """All series as a pyarrow.Table; see read_series."""
-        return read_series(self.folder)
-
-
-class Trajectories:
-    """Folder of the trajectories of a sweep, written while it runs.
-
-    Runs with the same structure and time step share a group, named by the column `trajectory` of a row. It holds `time`
-    (frames,) [s], `position` (runs, frames, bodies, 3) [m] and `orientation` (runs, frames, bodies, 4), indexed by the
-    column `run`. Each chunk holds one run, so that runs can be read separately and missing runs use no disk space.
-
-    Args:
-        path: the folder; must end in .zarr.
-        runs: number of runs of the whole design.
         about: metadata of the sweep.
         resume: add to an existing folder.
         overwrite: replace an existing folder.
@@ -159,13 +85,76 @@ class Trajectories:
         ValueError: The path has another suffix, or exists and is neither resumed nor overwritten.
     """
 
-    def __init__(self, path: Any, runs: int, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
+    def __init__(self, argument: str, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
         """Open or create the folder."""
-        self.path, self.runs = Path(path), runs
-        self.root = open_zarr("trajectories", self.path, resume, overwrite)
+        import zarr
+
+        self.folder = Path(path)
+        if self.folder.suffix != ZARR:
+            raise ValueError(f"{argument}: must end in {ZARR}, got {self.folder}")
+        if self.folder.exists() and not resume:
+            if not overwrite:
+                raise ValueError(f"{self.folder}: {EXISTS}")
+            shutil.rmtree(self.folder)
+        self.root: Any = zarr.open_group(self.folder, mode="a")
+        self._num_runs = about["runs"]
+
+    def put(self, name: str, runs: Sequence[Run], values: np.ndarray, runs_per_chunk: int, axes: Sequence[str]) -> None:
+        """Store (runs, samples, ...) values in the array of a name, which is created or enlarged if needed."""
+        shape = (self._num_runs, *values.shape[1:])
+        if name not in self.root:
+            chunks = (runs_per_chunk, *shape[1:])
+            self.root.create_array(
+                name, shape=shape, chunks=chunks, dtype=values.dtype, fill_value=np.nan, dimension_names=["run", *axes]
+            )
+        array = self.root[name]
+        wanted = (*map(max, array.shape[:2], shape[:2]), *array.shape[2:])
+        if wanted != array.shape:
+            array.resize(wanted)
+        rows = np.array([run.index for run in runs])
+        array.set_orthogonal_selection((rows, slice(0, shape[1])), values)
+
+
+class ZarrSeries(ZarrFolder):
+    """The time series of a sweep in a zarr folder: `time` [s] and one array (runs, samples, ...) for each series.
+
+    Raises:
+        ValueError: As ZarrFolder, or the folder contains the series of a different sweep.
+    """
+
+    def __init__(self, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
+        """Open or create the folder."""
+        super().__init__("series_output", path, about, resume, overwrite)
+        own = {name: about[name] for name in ("scene", "duration", "fps", "version", "series")}
+        if self.root.attrs.get("warp_rigid", own) != own:
+            raise ValueError(f"{path}: holds the series of a different sweep; choose another name")
+        self.root.attrs["warp_rigid"] = own
+
+    def add(self, runs: Sequence[Run], looks: dict[str, np.ndarray]) -> None:
+        """See Series.add."""
+        for name, values in looks.items():
+            axes = ("sample", "component")[: values.ndim - 1]
+            self.put(name, runs, values.astype(np.float64), RUNS_PER_CHUNK, axes)
+
+    def table(self) -> Any:
+        """All series as a pyarrow.Table; see read_series."""
+        return read_series(self.folder)
+
+
+class Trajectories(ZarrFolder):
+    """The trajectories of a sweep in a zarr folder.
+
+    Runs with the same structure and time step share a group, named by the column `trajectory` of a row. It holds `time`
+    (frames,) [s], `position` (runs, frames, bodies, 3) [m] and `orientation` (runs, frames, bodies, 4). Each chunk
+    holds one run, so that runs can be read separately and missing runs use no disk space.
+    """
+
+    def __init__(self, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
+        """Open or create the folder."""
+        super().__init__("trajectories", path, about, resume, overwrite)
         self.root.attrs["warp_rigid"] = {name: about[name] for name in ("scene", "duration", "fps", "version")}
 
-    def add(self, runs: list[Run], frames: dict[str, Any]) -> None:
+    def add(self, runs: Sequence[Run], frames: dict[str, Any]) -> None:
         """Store the trajectories of a batch.
 
         Args:
@@ -176,10 +165,7 @@ class Trajectories:
         if "time" not in group:
             group.create_array("time", data=frames["time"], dimension_names=["frame"])
         for name, last in (("position", "xyz"), ("orientation", "xyzw")):
-            values = frames[name]
-            shape, dimensions = (self.runs, *values.shape[1:]), ["run", "frame", "body", last]
-            array = array_of_runs(group, name, shape, 1, values.dtype, dimensions)
-            array.set_orthogonal_selection((np.array([run.index for run in runs]),), values)
+            self.put(f"{frames['group']}/{name}", runs, frames[name], 1, ("frame", "body", last))
 
 
 def read_series(folder: Any) -> Any:
