@@ -173,17 +173,15 @@ def _run(job: Job, prepared: Prepared, start: float, on_done: Callable[[float], 
     failures = Failures(sim.num_envs)
     outcomes = _Outcomes(job, prepared, failures)
     recorder = MetricRecorder(sim, [metric for metric in job.metrics if isinstance(metric, str) and metric != OUTCOME])
-    observers = Observers(sim, job.observers, failures)
+    observers = Observers(sim, job.observers, job.series, failures)
     with watch.of("record"):
         sim.prepare()
-    looks: dict[str, list] = {name: [] for name in ("time", *job.series)}
     events = _events(job, prepared.views, failures)
     peak_counts = np.zeros((2, sim.num_envs), np.int64)
     frames: dict[str, list] = {"time": [], "position": [], "orientation": []}
     steps = remaining = round(job.duration / sim.settings.dt)
     steps_per_sample = max(1, round(1.0 / (job.fps * sim.settings.dt)))
     _append_frame(job, sim, frames)
-    _append_look(sim, observers, looks)
     while remaining > 0:
         with watch.of("step"):
             step_frame(sim, min(steps_per_sample, remaining), events)
@@ -191,8 +189,7 @@ def _run(job: Job, prepared: Prepared, start: float, on_done: Callable[[float], 
         recorder.observe()
         peak_counts = np.maximum(peak_counts, sim.pairs_and_contacts())
         outcomes.observe()
-        observers.look()
-        _append_look(sim, observers, looks)
+        observers.observe()
         _append_frame(job, sim, frames)
         on_done(len(prepared.runs) * (1.0 - max(remaining, 0) / steps))
     columns = recorder.values()
@@ -204,18 +201,8 @@ def _run(job: Job, prepared: Prepared, start: float, on_done: Callable[[float], 
     seconds = (time.perf_counter() - start) / len(prepared.runs)
     watch.add({"measure": time.perf_counter() - measuring - watch.seconds["record"] - watch.seconds["step"]})
     kept = _trajectories(prepared, rows, frames) if job.trajectories else []
-    series = [(prepared.runs, {name: np.stack(values, 1) for name, values in looks.items()})] if job.series else []
+    series = [(prepared.runs, observers.series())] if job.series else []
     return Batch([row | {"wall_time": seconds} for row in rows], kept, series, watch.seconds, outcomes.units)
-
-
-def _append_look(sim: Simulator, observers: Observers, looks: dict[str, list]) -> None:
-    """Append the values of a sample to the series; NaN of an observer that failed."""
-    looks["time"].append(np.full(sim.num_envs, sim.time))
-    for name, values in looks.items():
-        if name != "time":
-            like = values[-1] if values else np.empty(sim.num_envs)
-            now = observers.latest.get(name)
-            values.append(np.full_like(like, np.nan, float) if now is None else now)
 
 
 def _measured(prepared: Prepared, metrics: list[Callable], failures: Failures) -> dict[str, np.ndarray]:

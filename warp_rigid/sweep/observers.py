@@ -44,17 +44,18 @@ class Observers:
     Args:
         sim: the simulator, before its first step.
         observers: from check_observers.
+        series: names of the observers whose values at every sample are kept.
         failures: where errors of the user's observers are stored.
 
     Attributes:
         latest: values of every observer at the last sample, (envs, ...), except of observers that failed.
     """
 
-    def __init__(self, sim: Simulator, observers: Sequence[str | Callable], failures: Failures) -> None:
+    def __init__(self, sim: Simulator, observers: Sequence[str | Callable], series: Sequence[str], failures: Failures):
         """Start to watch, create the user's observers, and read all once."""
         self.sim, self.latest, self._failures = sim, {}, failures
-        self._names = [name for name in observers if isinstance(name, str)]
-        self._watched = list(dict.fromkeys(_bodies(name) for name in self._names if _quantity(name) in WATCHED))
+        self._named = {name: _parsed(name) for name in observers if isinstance(name, str)}
+        self._watched = list(dict.fromkeys(names for quantity, names in self._named.values() if quantity in WATCHED))
         if self._watched:
             sim.watch([bodies or None for bodies in self._watched])
         self._functions: dict[str, Callable] = {}
@@ -65,10 +66,11 @@ class Observers:
                 name = column_name(observer)
                 with failures.of(observer, f"observer {name}"):
                     self._functions[name] = observer(sim) if isinstance(observer, type) else observer
-        self.look()
+        self._looks: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *series)}
+        self.observe()
 
-    def look(self) -> None:
-        """Read the current values. An observer that fails is left out from now on, and has no values."""
+    def observe(self) -> None:
+        """Read the current values. An observer that fails is left out from now on, and is NaN in the series."""
         self.latest = self._ready_made()
         for name, function in list(self._functions.items()):
             with self._failures.of(function, f"observer {name}"):
@@ -79,30 +81,29 @@ class Observers:
                 self.latest[name] = values
             if name not in self.latest:
                 del self._functions[name]
+        now = {**self.latest, "time": np.full(self.sim.num_envs, self.sim.time)}
+        for name, values in self._looks.items():
+            like = values[-1] if values else now["time"]
+            values.append(now[name] if name in now else np.full_like(like, np.nan, float))
+
+    def series(self) -> dict[str, np.ndarray]:
+        """The values of the series at every sample, and "time" [s], (envs, samples, ...)."""
+        return {name: np.stack(values, 1) for name, values in self._looks.items()}
 
     def _ready_made(self) -> dict[str, np.ndarray]:
         """Values of the observers that are names."""
         watched = self.sim.watched() if self._watched else {}
         found = {}
-        for name in self._names:
-            quantity, bodies = _quantity(name), _bodies(name)
+        for name, (quantity, names) in self._named.items():
             if quantity in WATCHED:
-                found[name] = watched[quantity][:, self._watched.index(bodies)]
-            elif quantity in ENERGIES:
-                found[name] = self._energy(ENERGIES[quantity], bodies)
-            else:
-                found[name] = self._of_row(self.sim.get(quantity), bodies[0], _owner(name))
+                found[name] = watched[quantity][:, self._watched.index(names)]
+                continue
+            parts = [self.sim.get(part) for part in ENERGIES.get(quantity, (quantity,))]
+            values = np.sum(parts, axis=0) if quantity in ENERGIES else parts[0]
+            found[name] = self._of_row(values, names[0], _owner(quantity)) if names else sum_of_bodies(self.sim, values)
         return found
 
-    def _energy(self, parts: tuple[str, ...], bodies: tuple[str, ...]) -> np.ndarray:
-        """Energy of a body, or of all bodies of each environment, (envs,) [J]."""
-        sim = self.sim
-        values = np.sum([sim.get(part) for part in parts], axis=0)
-        if bodies:
-            return self._of_row(values, bodies[0])
-        return sum_of_bodies(sim, values)
-
-    def _of_row(self, values: np.ndarray, name: str, owner: str = "bodies") -> np.ndarray:
+    def _of_row(self, values: np.ndarray, name: str, owner: str) -> np.ndarray:
         """The rows of a body or joint, (envs, ...); NaN where an environment has no such body or joint."""
         sim = self.sim
         if (owner, name) not in self._places:
@@ -142,48 +143,45 @@ def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -
     Raises:
         ValueError: no scene has the bodies.
     """
-    places = {(id(scene), owner): names_of(scene, owner) for scene in scenes for owner in NAMED}
     for name in observers:
-        bodies = _bodies(name) if isinstance(name, str) else ()
-        owner = _owner(name) if isinstance(name, str) else "bodies"
-        if not any(all(body in place for body in bodies) for (_, whose), place in places.items() if whose == owner):
-            raise ValueError(f"{name}: no scene has the {owner} {', '.join(bodies)}")
+        if isinstance(name, str):
+            quantity, names = _parsed(name)
+            owner = _owner(quantity)
+            if not any(names_of(scene, owner).keys() >= set(names) for scene in scenes):
+                raise ValueError(f"{name}: no scene has the {owner} {', '.join(names)}")
 
 
-def _quantity(name: str) -> str:
-    return name.partition("[")[0]
+def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
+    """The quantity of a built-in observer, and the names of the bodies or joints in brackets."""
+    quantity, _, inside = name.partition("[")
+    inside = inside.removesuffix("]")
+    return quantity, tuple(part.strip() for part in inside.split(",")) if inside else ()
 
 
-def _bodies(name: str) -> tuple[str, ...]:
-    """Names of the bodies in brackets."""
-    inside = name.partition("[")[2].removesuffix("]")
-    return tuple(part.strip() for part in inside.split(",")) if inside else ()
+def _owner(quantity: str) -> str:
+    """Whether the names in the brackets of a quantity are those of "bodies" or of "joints"."""
+    return "joints" if owner_of(quantity) == "joints" else "bodies"
 
 
 def _is_ready_made(name: str) -> bool:
     """Whether a name with its bodies is that of a built-in observer."""
     if not PATTERN.fullmatch(name):
         return False
-    quantity, count = _quantity(name), len(_bodies(name))
+    quantity, names = _parsed(name)
     if quantity in WATCHED:
-        return count <= 2
+        return len(names) <= 2
     if quantity in ENERGIES:
-        return count <= 1
-    return count == 1 and quantity in READABLE and owner_of(quantity) in NAMED
+        return len(names) <= 1
+    return len(names) == 1 and quantity in READABLE and owner_of(quantity) in NAMED
 
 
 def _suggestion(observer: Any) -> str:
     """The end of the message about an observer that is not one; "" if only its bodies or joints are wrong."""
     ready = (*WATCHED, *ENERGIES)
-    quantity = _quantity(observer) if isinstance(observer, str) else observer
+    quantity = _parsed(observer)[0] if isinstance(observer, str) else observer
     if isinstance(quantity, str) and quantity in (*ready, *READABLE):
         return ""
     return suggestion(quantity, (*ready, *READABLE), f"{', '.join(ready)} and those in help(Simulator.get)")
-
-
-def _owner(name: str) -> str:
-    """Whether a built-in observer is of "bodies" or of "joints"."""
-    return "joints" if owner_of(_quantity(name)) == "joints" else "bodies"
 
 
 def _values(result: Any, num_envs: int) -> np.ndarray:
