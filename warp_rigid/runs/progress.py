@@ -5,7 +5,7 @@ The attributes of an outcome must be plain data: numbers, strings, arrays, and l
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ class Progress:
         events: pending events.
         deepest: (envs,) maximum penetration so far [m].
         frame: number of completed frames.
+        seconds: wall-clock time to step each frame since the start or the checkpoint [s].
     """
 
     recorder: Recorder
@@ -39,6 +40,7 @@ class Progress:
     events: list
     deepest: np.ndarray
     frame: int = 0
+    seconds: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

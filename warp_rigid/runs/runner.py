@@ -221,50 +221,29 @@ def execute(
     progress = Progress(recorder, outcome, events, np.zeros(sim.num_envs))
     if not (checkpoints and checkpoints.resume(plan, progress)):
         recorder.capture(sim)
-    seconds: list[float] = []
     try:
-        _run_frames(plan, progress, per_frame, seconds, checkpoints, on_frame)
+        for frame in range(progress.frame, plan.frames):
+            start = time.perf_counter()
+            step_frame(sim, per_frame, events)
+            progress.seconds.append(time.perf_counter() - start)
+            recorder.capture(sim)
+            outcome.observe(sim)
+            progress.deepest = np.maximum(progress.deepest, _overlap(outcome, sim))
+            progress.frame = frame + 1
+            if checkpoints:
+                checkpoints.write(plan, progress)
+            if on_frame is not None:
+                on_frame(frame + 1)
         verdicts = outcome.verdicts(sim)
     except UserCodeError as error:
-        error.kept = _result(plan, progress, seconds, [])
+        error.kept = _result(plan, progress, [])
         raise
-    return _result(plan, progress, seconds, verdicts)
-
-
-def _run_frames(
-    plan: Plan,
-    progress: Progress,
-    per_frame: int,
-    seconds: list[float],
-    checkpoints: Checkpoints | None,
-    on_frame: Callable[[int], None] | None,
-) -> None:
-    """Simulate the frames after those of the progress, and append the time of each to `seconds`."""
-    sim, recorder = plan.sim, progress.recorder
-    for frame in range(progress.frame, plan.frames):
-        start = time.perf_counter()
-        step_frame(sim, per_frame, progress.events)
-        seconds.append(time.perf_counter() - start)
-        recorder.capture(sim)
-        progress.outcome.observe(sim)
-        progress.deepest = np.maximum(progress.deepest, _overlap(progress.outcome, sim))
-        progress.frame = frame + 1
-        if checkpoints:
-            checkpoints.write(plan, progress)
-        if on_frame is not None:
-            on_frame(frame + 1)
+    return _result(plan, progress, verdicts)
 
 
 def _overlap(outcome: Any, sim: Any) -> np.ndarray:
     """The present overlap of each environment [m]. An outcome that judges it has just measured it, which takes long."""
     return outcome.recent[-1][1] if isinstance(outcome, OverlapOutcome) else sim.penetration()
-
-
-def _result(plan: Plan, progress: Progress, seconds: list[float], verdicts: list[Verdict]) -> Result:
-    """The result of the frames so far."""
-    status = plan.sim.status()
-    summary = _summary(plan, progress.frame, seconds, progress.deepest, status, verdicts)
-    return Result(progress.recorder.recording(), verdicts, status, summary)
 
 
 def _scene_of_usd(path: Path) -> Demo:
@@ -425,20 +404,19 @@ def step_frame(sim: Simulator, steps: int, events: list) -> None:
         done += count
 
 
-def _summary(
-    plan: Plan, frames: int, seconds: list, deepest: np.ndarray, status: np.ndarray, verdicts: list[Verdict]
-) -> dict[str, Any]:
-    """Summary of a run as plain data."""
-    sim = plan.sim
+def _result(plan: Plan, progress: Progress, verdicts: list[Verdict]) -> Result:
+    """The result of the frames so far, with a summary as plain data."""
+    sim, seconds = plan.sim, progress.seconds
+    status = sim.status()
     # The first frame may load kernels or grow buffers, so it is excluded from the throughput.
     warm = seconds[1:] or seconds
-    return {
+    summary = {
         "scene": plan.demo.name,
         "version": __version__,
         "device": str(sim.device),
         "envs": sim.num_envs,
         "bodies": sim.num_bodies,
-        "frames": frames,
+        "frames": progress.frame,
         "fps": plan.fps,
         "time": sim.time,
         "set": plan.parameters,
@@ -447,7 +425,7 @@ def _summary(
         "variants": {label: plan.demo.variants[label] for label in plan.labels if label in plan.demo.variants},
         **{name: int(value) for name, value in sim.counts().items()},
         "penetration": _numbers(sim.penetration()),
-        "deepest_penetration": _numbers(deepest),
+        "deepest_penetration": _numbers(progress.deepest),
         "failed": _records(status, ~np.isin(status["status"], ("ok", "out of bounds"))),
         "out_of_bounds": _records(status, status["status"] == "out of bounds"),
         "warnings": [dict(zip(WARNING_NAMES, record.item(), strict=True)) for record in sim.warnings()],
@@ -456,6 +434,7 @@ def _summary(
         "env_frames_per_second": sim.num_envs * len(warm) / sum(warm) if warm else 0.0,
         "verdicts": [_verdict(verdict, plan.variants) for verdict in verdicts],
     }
+    return Result(progress.recorder.recording(), verdicts, status, summary)
 
 
 def _records(status: np.ndarray, chosen: np.ndarray) -> list[dict[str, Any]]:
