@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import number_in, shown, suggestion
-from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
-from warp_rigid.runs.user_code import check_call, errors_of, module_of_file, scene_function, takes_parameters
+from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings
+from warp_rigid.runs.user_code import check_call, errors_of, module_of_file, scene_function, with_parameters
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.scenes.demo import no_events
@@ -137,24 +137,7 @@ def _function(path: Path, module: ModuleType, name: str, *arguments: str) -> Any
         return None
     if not callable(found):
         raise ValueError(f"{path}: {name} must be a function, got {shown(found)}")
-    return _checked(_with_parameters(path, found, *arguments) if arguments else found)
-
-
-def _with_parameters(path: Path, function: Callable, *arguments: str) -> Callable:
-    """A function of the file that also takes the parameters of the scene, in either form."""
-    if takes_parameters(path, function, *arguments):
-        return function
-
-    @wraps(function)
-    def without(*given: Any) -> Any:
-        return function(*given[:-1])
-
-    return without
-
-
-def _checked(function: Callable) -> Callable:
-    """A function of the file with errors as one line."""
-    return errors_of(function)(function)
+    return errors_of(found)(with_parameters(path, found, *arguments) if arguments else found)
 
 
 def _checked_verdicts(method: Callable) -> Callable:
@@ -184,7 +167,7 @@ def _outcome(path: Path, found: Any) -> Any:
         raise ValueError(f"{path}: outcome must be a function or a class, got {shown(found)}")
     if inspect.isclass(found):
         return _class_outcome(path, found)
-    return partial(FunctionOutcome, _with_parameters(path, found, "sim"))
+    return partial(FunctionOutcome, with_parameters(path, found, "sim"))
 
 
 def _class_outcome(path: Path, found: Any) -> type:
@@ -193,8 +176,8 @@ def _class_outcome(path: Path, found: Any) -> type:
     if missing:
         raise ValueError(f"{path}: class outcome must have a method {missing[0]}")
     check_call(path, "outcome(scene)", found, None)
-    methods = {name: _checked(getattr(found, name)) for name in ("__init__", "observe")}
-    methods["verdicts"] = _checked_verdicts(found.verdicts)
+    begin, observe, verdicts = found.__init__, found.observe, _checked_verdicts(found.verdicts)
+    methods = {"__init__": errors_of(begin)(begin), "observe": errors_of(observe)(observe), "verdicts": verdicts}
     # A subclass, so that checkpoints find the attributes of the user's class.
     return type(found.__name__, (found,), methods)
 
@@ -220,10 +203,8 @@ def _settings(path: Path, what: str, changes: Any, dt: bool) -> dict[str, Any]:
     for name in changes:
         if name not in known:
             raise ValueError(f"{path}: {what} must have names of settings, got {shown(name)}{suggestion(name, known)}")
-    for name, value in changes.items():
-        try:
-            if name in PER_ENVIRONMENT:
-                check_setting(name, value)
-        except ValueError as error:
-            raise ValueError(f"{path}: {what}: {error}") from None
+    try:
+        Settings(**changes)
+    except ValueError as error:
+        raise ValueError(f"{path}: {what}: {error}") from None
     return changes

@@ -68,8 +68,8 @@ def scene_function(path: Path, build: Any) -> Callable[..., Scene]:
     return checked
 
 
-def takes_parameters(path: Path, function: Callable, *arguments: str) -> bool:
-    """Whether a function of a file takes the parameters of the scene after its other arguments.
+def with_parameters(path: Path, function: Callable, *arguments: str) -> Callable:
+    """A function of a file that takes the parameters of the scene after its other arguments, whether it does or not.
 
     Args:
         path: the file.
@@ -90,9 +90,14 @@ def takes_parameters(path: Path, function: Callable, *arguments: str) -> bool:
             raise ValueError(f"{path}: must define {form}, got {name}{signature}")
     short, long = (_accepts(signature, (None,) * number, {}) for number in (count, count + 1))
     if long and (not short or list(signature.parameters)[count : count + 1] == ["parameters"]):
-        return True
+        return function
     check_call(path, form, function, *(None,) * count)
-    return False
+
+    @functools.wraps(function)
+    def without(*given: Any) -> Any:
+        return function(*given[:-1])
+
+    return without
 
 
 def check_call(path: Path, form: str, function: Callable, *arguments: Any, **named: Any) -> None:
