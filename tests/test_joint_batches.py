@@ -179,6 +179,22 @@ def test_quantities_of_joints_are_axes_and_columns_of_sweeps():
         wr.sweep(swing, {"joint_damping[shoulder]": [-1.0]}, duration=0.1, metrics=["drift"], device="cpu")
 
 
+def test_scenes_of_a_sweep_with_the_same_bodies_are_checked_for_their_own_joints():
+    def door(hinged: bool):
+        scene = wr.Scene()
+        box = scene.add_body(wr.Box((0.1, 0.1, 0.1)), name="door")
+        if hinged:
+            scene.add_joint(wr.RevoluteJoint((0, 0, 1)), box, name="hinge")
+        return scene
+
+    options = {"duration": 0.05, "metrics": [], "device": "cpu"}
+    result = wr.sweep(door, {"hinged": [False, True]}, observe=["joint_force[hinge]"], **options)
+    free, hinged = result.rows
+    assert np.isnan(free["joint_force[hinge]"]).all() and np.isfinite(hinged["joint_force[hinge]"]).all()
+    with pytest.raises(ValueError, match="selects no joint"):
+        wr.sweep(door, {"hinged": [True, False], "joint_damping[hinge]": [0.1]}, **options)
+
+
 def test_scenes_that_differ_in_joints_have_different_structures():
     assert structure(swing()) == structure(swing())
     changed = swing()

@@ -24,7 +24,7 @@ from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, chec
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, stable_hash
-from warp_rigid.sweep.observers import check_bodies
+from warp_rigid.sweep.observers import named_observers
 
 MAX_CACHED_SCENES = 4096
 """Maximum number of scenes cached between the validation of a design and its runs; others are built again."""
@@ -174,36 +174,36 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
     Raises:
         ValueError: A name is unknown or a value is out of range.
     """
-    footprints: dict[str, Footprint] = {}
-    of_structure: dict[Any, Footprint] = {}
+    # Scenes of one structure have the same footprint, and accept the same properties.
+    numbers: dict[Hashable, int] = {}
+    footprints: list[Footprint] = []
+    number_of_scene: dict[str, int] = {}
     shape_bytes: dict[str, int] = {}
-    bodies: dict[str, Any] = {}
-    known: dict[Any, Scene] = {}
+    lacking = named_observers(job.observers)
     checked: set[Any] = set()
     steps: dict[Any, float] = {}
     groups: dict[float, list[SizedRun]] = {}
     for run, inputs in zip(runs, run_inputs(job, runs), strict=True):
         key = inputs.scene_key
-        if key not in footprints:
+        if key not in number_of_scene:
             scene = build_scene(job, inputs)
             check_precision(scene)
-            content = structure(scene)
-            if content not in of_structure:
-                of_structure[content] = footprint_of(scene, shape_bytes)
-            footprints[key] = of_structure[content]
-            bodies[key] = tuple((body.name, body.motion) for body in scene.bodies)
-            known.setdefault(bodies[key], scene)
+            number_of_scene[key] = numbers.setdefault(structure(scene), len(numbers))
+            if len(numbers) > len(footprints):
+                footprints.append(footprint_of(scene, shape_bytes))
+                lacking = [observer for observer in lacking if not observer.is_in(scene)]
+        number = number_of_scene[key]
         settings = tuple(inputs.settings.items())
         if settings not in steps:
             steps[settings] = Settings(**inputs.settings).dt
         for name, value in inputs.properties.items():
-            if (bodies[key], name, value) not in checked:
+            if (number, name, value) not in checked:
                 _check_property(build_scene(job, inputs), name, value)
-                checked.add((bodies[key], name, value))
+                checked.add((number, name, value))
         _check_masses(build_scene(job, inputs), inputs.properties)
-        groups.setdefault(steps[settings], []).append(SizedRun(run, footprints[key]))
-    if runs:
-        check_bodies(job.observers, list(known.values()))
+        groups.setdefault(steps[settings], []).append(SizedRun(run, footprints[number]))
+    if runs and lacking:
+        raise ValueError(f"{lacking[0].name}: no scene has the {lacking[0].owner} {', '.join(lacking[0].members)}")
     return list(groups.values())
 
 

@@ -9,7 +9,7 @@ instance is called with it. It gets all environments of the batch at once and ma
 
 import re
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,10 +32,51 @@ ENERGIES = {
 }
 """Energies of an environment, or of a body, at the sample."""
 
-NAMED = ("bodies", "joints")
-"""What the quantities of observers may belong to."""
-
 PATTERN = re.compile(r"(\w+)(?:\[(.+)\])?")
+
+
+class Named(NamedTuple):
+    """A built-in observer.
+
+    Attributes:
+        name: with the brackets.
+        quantity: the name before the brackets.
+        members: names of the bodies or joints in the brackets.
+    """
+
+    name: str
+    quantity: str
+    members: tuple[str, ...]
+
+    @staticmethod
+    def of(name: str) -> "Named":
+        """The parts of a name."""
+        quantity, _, inside = name.partition("[")
+        inside = inside.removesuffix("]")
+        return Named(name, quantity, tuple(part.strip() for part in inside.split(",")) if inside else ())
+
+    @property
+    def owner(self) -> str:
+        """Whether its members are "bodies" or "joints"."""
+        return "joints" if owner_of(self.quantity) == "joints" else "bodies"
+
+    def is_known(self) -> bool:
+        """Whether there is such an observer."""
+        quantity, count = self.quantity, len(self.members)
+        if quantity in WATCHED:
+            return count <= 2
+        if quantity in ENERGIES:
+            return count <= 1
+        return count == 1 and quantity in READABLE and owner_of(quantity) in ("bodies", "joints")
+
+    def is_in(self, scene: Scene) -> bool:
+        """Whether a scene has its members."""
+        return names_of(scene, self.owner).keys() >= set(self.members)
+
+
+def named_observers(observers: Sequence[str | Callable]) -> list[Named]:
+    """Those of the observers that are built in."""
+    return [Named.of(observer) for observer in observers if isinstance(observer, str)]
 
 
 class Observers:
@@ -54,13 +95,13 @@ class Observers:
     def __init__(self, sim: Simulator, observers: Sequence[str | Callable], series: Sequence[str], failures: Failures):
         """Start to watch, create the user's observers, and read all once."""
         self.sim, self.latest, self._failures = sim, {}, failures
-        self._named = {name: _parsed(name) for name in observers if isinstance(name, str)}
-        self._watched = list(dict.fromkeys(names for quantity, names in self._named.values() if quantity in WATCHED))
+        self._named = named_observers(observers)
+        self._watched = list(dict.fromkeys(one.members for one in self._named if one.quantity in WATCHED))
         if self._watched:
             sim.watch([bodies or None for bodies in self._watched])
         self._functions: dict[str, Callable] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
-        self._places: dict[tuple[str, str], np.ndarray] = {}
+        self._places: dict[Named, np.ndarray] = {}
         for observer in observers:
             if not isinstance(observer, str):
                 name = column_name(observer)
@@ -82,9 +123,9 @@ class Observers:
             if name not in self.latest:
                 del self._functions[name]
         now = {**self.latest, "time": np.full(self.sim.num_envs, self.sim.time)}
-        for name, values in self._looks.items():
-            like = values[-1] if values else now["time"]
-            values.append(now[name] if name in now else np.full_like(like, np.nan, float))
+        for name, looks in self._looks.items():
+            like = looks[-1] if looks else now["time"]
+            looks.append(now[name] if name in now else np.full_like(like, np.nan, float))
 
     def series(self) -> dict[str, np.ndarray]:
         """The values of the series at every sample, and "time" [s], (envs, samples, ...)."""
@@ -94,22 +135,23 @@ class Observers:
         """Values of the observers that are names."""
         watched = self.sim.watched() if self._watched else {}
         found = {}
-        for name, (quantity, names) in self._named.items():
+        for observer in self._named:
+            quantity, members = observer.quantity, observer.members
             if quantity in WATCHED:
-                found[name] = watched[quantity][:, self._watched.index(names)]
+                found[observer.name] = watched[quantity][:, self._watched.index(members)]
                 continue
             parts = [self.sim.get(part) for part in ENERGIES.get(quantity, (quantity,))]
             values = np.sum(parts, axis=0) if quantity in ENERGIES else parts[0]
-            found[name] = self._of_row(values, names[0], _owner(quantity)) if names else sum_of_bodies(self.sim, values)
+            found[observer.name] = self._of_row(values, observer) if members else sum_of_bodies(self.sim, values)
         return found
 
-    def _of_row(self, values: np.ndarray, name: str, owner: str) -> np.ndarray:
+    def _of_row(self, values: np.ndarray, observer: Named) -> np.ndarray:
         """The rows of a body or joint, (envs, ...); NaN where an environment has no such body or joint."""
         sim = self.sim
-        if (owner, name) not in self._places:
-            rows = [names_of(scene, owner).get(name, -1) for scene in sim.scenes]
-            self._places[owner, name] = np.array(rows)[sim.scene_of]
-        place = self._places[owner, name]
+        if observer not in self._places:
+            rows = [names_of(scene, observer.owner).get(observer.members[0], -1) for scene in sim.scenes]
+            self._places[observer] = np.array(rows)[sim.scene_of]
+        place = self._places[observer]
         found = values[np.arange(sim.num_envs), np.maximum(place, 0)].astype(np.float64)
         found[place < 0] = np.nan
         return found
@@ -130,55 +172,20 @@ def check_observers(observers: Any, name: str = "observe") -> tuple[str | Callab
     if observers is None:
         return ()
 
+    def is_known(observer: str) -> bool:
+        return PATTERN.fullmatch(observer) is not None and Named.of(observer).is_known()
+
     def expected(observer: Any) -> str:
         kinds = "functions, .py files, names, or a quantity of a body or joint such as position[box]"
         return f"{kinds}, got {shown(observer)}{_suggestion(observer)}"
 
-    return check_columns(name, observers, _is_ready_made, expected, classes=True)
-
-
-def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -> None:
-    """Check that at least one scene has the bodies of each observer.
-
-    Raises:
-        ValueError: no scene has the bodies.
-    """
-    for name in observers:
-        if isinstance(name, str):
-            quantity, names = _parsed(name)
-            owner = _owner(quantity)
-            if not any(names_of(scene, owner).keys() >= set(names) for scene in scenes):
-                raise ValueError(f"{name}: no scene has the {owner} {', '.join(names)}")
-
-
-def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
-    """The quantity of a built-in observer, and the names of the bodies or joints in brackets."""
-    quantity, _, inside = name.partition("[")
-    inside = inside.removesuffix("]")
-    return quantity, tuple(part.strip() for part in inside.split(",")) if inside else ()
-
-
-def _owner(quantity: str) -> str:
-    """Whether the names in the brackets of a quantity are those of "bodies" or of "joints"."""
-    return "joints" if owner_of(quantity) == "joints" else "bodies"
-
-
-def _is_ready_made(name: str) -> bool:
-    """Whether a name with its bodies is that of a built-in observer."""
-    if not PATTERN.fullmatch(name):
-        return False
-    quantity, names = _parsed(name)
-    if quantity in WATCHED:
-        return len(names) <= 2
-    if quantity in ENERGIES:
-        return len(names) <= 1
-    return len(names) == 1 and quantity in READABLE and owner_of(quantity) in NAMED
+    return check_columns(name, observers, is_known, expected, classes=True)
 
 
 def _suggestion(observer: Any) -> str:
     """The end of the message about an observer that is not one; "" if only its bodies or joints are wrong."""
     ready = (*WATCHED, *ENERGIES)
-    quantity = _parsed(observer)[0] if isinstance(observer, str) else observer
+    quantity = Named.of(observer).quantity if isinstance(observer, str) else observer
     if isinstance(quantity, str) and quantity in (*ready, *READABLE):
         return ""
     return suggestion(quantity, (*ready, *READABLE), f"{', '.join(ready)} and those in help(Simulator.get)")
