@@ -114,8 +114,12 @@ def _sampled(axes: dict[str, list | Distribution], design: str, samples: int, rn
 
 def stable_hash(*parts: Any) -> str:
     """Hash plain values to 16 hexadecimal digits."""
-    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=repr)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return digest(json.dumps(parts, sort_keys=True, separators=(",", ":"), default=repr).encode())
+
+
+def digest(content: bytes) -> str:
+    """Hash bytes to 16 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def shard_of(runs: list[Run], shard: tuple[int, int] | None) -> list[Run]:

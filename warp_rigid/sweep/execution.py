@@ -26,7 +26,7 @@ from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
-from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
+from warp_rigid.sweep.design import MAX_RUNS, Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
 from warp_rigid.sweep.metrics import check_metrics
 from warp_rigid.sweep.observers import check_observers
@@ -39,7 +39,6 @@ from warp_rigid.warp_start import start_warp
 
 log = logging.getLogger("warp_rigid")
 
-MAX_BATCH = 10_000_000
 MAX_REPORTED = 10
 """Maximum number of different errors that are logged while a sweep runs."""
 
@@ -142,7 +141,7 @@ def sweep(
     if series_output is not None and not kept:
         raise ValueError("series_output: requires series")
     if batch != "auto":
-        whole_in("batch", batch, 1, MAX_BATCH)
+        whole_in("batch", batch, 1, MAX_RUNS)
     clean = clean_axes(axes)
     both = [name for name in clean if name in job.fixed]
     if both:

@@ -1,6 +1,5 @@
 """Data shared by the runs of a sweep, and the grouping of runs into batches."""
 
-import hashlib
 import inspect
 import logging
 from collections.abc import Callable, Hashable, Sequence
@@ -23,7 +22,7 @@ from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, check_mass
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
-from warp_rigid.sweep.design import Run, stable_hash
+from warp_rigid.sweep.design import Run, digest, stable_hash
 from warp_rigid.sweep.observers import named_observers
 
 MAX_CACHED_SCENES = 4096
@@ -99,19 +98,19 @@ def resolve_scene(scene: Any) -> tuple[Demo, str]:
         demo = find_scene(str(scene))
         path = Path(scene)
         is_file = str(scene) not in scenes.names() and path.is_file()
-        return demo, f"{demo.name}:{_digest(path.read_bytes())}" if is_file else demo.name
+        return demo, f"{demo.name}:{digest(path.read_bytes())}" if is_file else demo.name
     if isinstance(scene, Demo):
         return scene, scene.name
     if isinstance(scene, Scene):
         made = scene
         demo = Demo("scene", "", lambda: made, NoOutcome, FILE_SCENE_DURATION, {})
         content = [structure(scene), scene.gravity, [_numbers_of(body) for body in scene.bodies]]
-        return demo, f"scene:{_digest(repr(content).encode())}"
+        return demo, f"scene:{digest(repr(content).encode())}"
     if callable(scene):
         name = getattr(scene, "__name__", type(scene).__name__)
         demo = Demo(name, "", scene, NoOutcome, FILE_SCENE_DURATION, {})
         try:
-            return demo, f"{name}:{_digest(inspect.getsource(scene).encode())}"
+            return demo, f"{name}:{digest(inspect.getsource(scene).encode())}"
         except (OSError, TypeError):
             return demo, name
     raise ValueError(f"scene: must be a name, a .py file, a Scene or a function that returns one, got {scene!r}")
@@ -294,11 +293,7 @@ def _check_masses(scene: Scene, properties: dict[str, Any]) -> None:
         check_mass_ratio(masses.values())
 
 
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:16]
-
-
 def _numbers_of(body: Any) -> list:
     names = ("position", "orientation", *VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES)
-    path = "" if body.path is None else _digest(body.path.key)
+    path = "" if body.path is None else digest(body.path.key)
     return [*(getattr(body, name) for name in names), path]

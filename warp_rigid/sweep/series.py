@@ -3,7 +3,6 @@
 The trajectories of its runs are in a zarr folder, too.
 """
 
-import hashlib
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.sweep.design import Run
+from warp_rigid.sweep.design import Run, digest
 
 SUFFIX = ".series"
 ZARR = ".zarr"
@@ -60,7 +59,7 @@ class Series:
             return
         import pyarrow.parquet
 
-        name = hashlib.sha256(",".join(run.id for run in runs).encode()).hexdigest()[:16]
+        name = digest(",".join(run.id for run in runs).encode())
         with atomic_file(self.folder / f"{name}.parquet") as temporary, temporary.open("wb") as file:
             pyarrow.parquet.write_table(table, file, compression="zstd")
 
