@@ -165,7 +165,7 @@ def _from_plain(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     ((kind, content),) = value.items()
     if kind == "array":
         return arrays[content].copy()[()]
-    parts = [_from_plain(part, arrays) for part in content] if kind != "dict" else []
     if kind == "dict":
         return {_from_plain(key, arrays): _from_plain(part, arrays) for key, part in content}
+    parts = [_from_plain(part, arrays) for part in content]
     return tuple(parts) if kind == "tuple" else parts

@@ -144,21 +144,14 @@ class Recording:
             ModuleNotFoundError: xarray is not installed.
         """
         xarray = need("xarray")
-        inner = {"position": "axis", "orientation": "component", "linear_velocity": "axis", "angular_velocity": "axis"}
-        found = xarray.Dataset(
-            {
-                name: (("time", "env", "body", *([inner[name]] if name in inner else [])), getattr(self, name))
-                for name in self._kept
-            },
-            {
-                "time": self.time,
-                "env": self.envs,
-                "body": list(self.names),
-                "axis": list("xyz"),
-                "component": list("xyzw"),
-            },
-            {"fps": self.fps},
-        )
+        components = {(): (), (3,): ("axis",), (4,): ("component",)}
+        variables = {
+            name: (("time", "env", "body", *components[VALUE_SHAPES.get(name, ())]), getattr(self, name))
+            for name in self._kept
+        }
+        coordinates = {"time": self.time, "env": self.envs, "body": list(self.names)}
+        coordinates |= {"axis": list("xyz"), "component": list("xyzw")}
+        found = xarray.Dataset(variables, coordinates, {"fps": self.fps})
         for name, unit in RECORDED_UNITS.items():
             if name in found:
                 found[name].attrs["units"] = unit

@@ -153,18 +153,15 @@ def plan_run(
         demo.vary(sim, **{**demo.parameters, **given.scene})
     _apply(sim, given, variants)
     changed = given.settings or given.properties or given.batched or substeps is not None
-    expected: tuple[str | None, ...]
-    if changed or frames < round(demo.duration * fps):
-        expected = (None,) * count
-    else:
-        expected = tuple(variants) or ("default",) * count
+    ends_early = frames < round(demo.duration * fps)
+    judged = tuple(variants) or ("default",) * count
     labels = tuple(", ".join(f"{name}={v[env]}" for name, v in given.batched.items()) for env in range(count))
     return Plan(
         demo=demo,
         scene=scene,
         sim=sim,
         labels=tuple(variants) or labels,
-        variants=expected,
+        variants=(None,) * count if changed or ends_early else judged,
         fps=fps,
         frames=frames,
         parameters={**given.scene, **given.settings, **given.properties, **given.batched},
