@@ -152,6 +152,8 @@ def test_bodies_are_chosen_by_name_pattern_or_index():
     assert plan.sim.get("mass")[1].tolist() == [0, 3, 4]
     np.testing.assert_allclose(plan.sim.get("friction"), [[0.5, 0.1, 0.1], [0.5, 0.2, 0.2]], rtol=1e-6)
     np.testing.assert_allclose(plan.sim.get("restitution")[0], [0.9, 0, 0], rtol=1e-6)
+    changed = plan_run(build, ["mass[lef[st]]=5", "mass[righ[!x]]=6"], device="cpu").sim.get("mass")
+    assert changed[0].tolist() == [0, 5, 6]
     assert plan_run(build, ["active[right]=false"], device="cpu").sim.get("active")[0].tolist() == [True, True, False]
     assert plan_run(build, ["position[left]=(0,0,5)"], device="cpu").sim.get("position")[0, 1].tolist() == [0, 0, 5]
     for text, message in (

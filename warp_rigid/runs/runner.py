@@ -339,7 +339,7 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
     Raises:
         ValueError: No body or joint is selected, or a value is out of range.
     """
-    plain, _, choice = name.partition("[")
+    plain = name.partition("[")[0]
     if plain in VECTOR_LENGTHS:
         values = [np.broadcast_to(value, VECTOR_LENGTHS[plain]) for value in values]  # 0 is the zero vector
     if plain in field_values.VALUE_SHAPES:
@@ -351,14 +351,16 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
         columns = np.asarray(values)[:, None]
         groups: dict[tuple[int, ...], list[int]] = {}
         for index, scene in enumerate(sim.scenes):
-            groups.setdefault(tuple(selected(scene, name, plain, choice.rstrip("]"))), []).append(index)
+            groups.setdefault(tuple(selected(scene, name)), []).append(index)
         for rows, scenes_of_group in groups.items():
             envs = np.flatnonzero(np.isin(sim.scene_of, scenes_of_group))
             sim.set(plain, columns[envs], envs=envs, **{owner_of(plain): list(rows)})
 
 
-def selected(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
+def selected(scene: Scene, name: str) -> list[int]:
     """Indices of the bodies or joints selected by a property name; see set_each."""
+    plain, _, choice = name.partition("[")
+    choice = choice.removesuffix("]")
     owner = owner_of(plain)
     entries = list(enumerate(getattr(scene, owner)))
     if choice.isdigit():

@@ -245,12 +245,12 @@ def _implied_by(job: Job, point: dict[str, Any]) -> dict[str, Any]:
 
 def _check_property(scene: Scene, name: str, value: Any) -> None:
     """Validate a property as Simulator.set does, before any run."""
-    plain, _, choice = name.partition("[")
+    plain = name.partition("[")[0]
     if plain in field_values.VALUE_SHAPES:
         for field in field_values.fields_with(scene.force_fields, plain):
             field_values.check(field, plain, value)
         return
-    chosen = [] if plain == "gravity" else selected(scene, name, plain, choice.rstrip("]"))
+    chosen = [] if plain == "gravity" else selected(scene, name)
     if plain in joint_quantities.WRITABLE:
         joint_quantities.check_range(plain, joint_quantities.check(plain, value, ()))
     elif plain in COEFFICIENTS:
@@ -288,8 +288,7 @@ def _check_masses(scene: Scene, properties: dict[str, Any]) -> None:
     if changed:
         masses = {index: body.mass for index, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC}
         for name, value in changed.items():
-            choice = name.partition("[")[2].rstrip("]")
-            masses |= dict.fromkeys(selected(scene, name, "mass", choice), value)
+            masses |= dict.fromkeys(selected(scene, name), value)
         check_mass_ratio(masses.values())
 
 
