@@ -63,6 +63,8 @@ class Named(NamedTuple):
     def is_known(self) -> bool:
         """Whether there is such an observer."""
         quantity, count = self.quantity, len(self.members)
+        if not PATTERN.fullmatch(self.name):
+            return False
         if quantity in WATCHED:
             return count <= 2
         if quantity in ENERGIES:
@@ -172,14 +174,11 @@ def check_observers(observers: Any, name: str = "observe") -> tuple[str | Callab
     if observers is None:
         return ()
 
-    def is_known(observer: str) -> bool:
-        return PATTERN.fullmatch(observer) is not None and Named.of(observer).is_known()
-
     def expected(observer: Any) -> str:
         kinds = "functions, .py files, names, or a quantity of a body or joint such as position[box]"
         return f"{kinds}, got {shown(observer)}{_suggestion(observer)}"
 
-    return check_columns(name, observers, is_known, expected, classes=True)
+    return check_columns(name, observers, lambda text: Named.of(text).is_known(), expected, classes=True)
 
 
 def _suggestion(observer: Any) -> str:
