@@ -84,6 +84,13 @@ def test_a_scene_shows_a_picture_of_itself(scene):
     assert "DistanceJoint" in page.text and "1 dynamic, 1 static" in page.text
 
 
+def test_a_scene_is_drawn_as_its_simulator_with_its_camera_and_its_looks(scene, device):
+    plain = Page(scene).all("img")
+    scene.looks[1] = wr.Look((0.8, 0.1, 0.1))
+    scene.camera = wr.Camera(position=(1, 1, 1), look_at=(0, 0, 0.5))
+    assert Page(scene).all("img") == Page(wr.Simulator(scene, device=device)).all("img") != plain
+
+
 def test_what_has_nothing_to_draw_or_too_much_has_no_picture(scene, monkeypatch):
     assert Page(wr.Scene()).all("img") == []
     monkeypatch.setattr(notebook, "MAX_TRIANGLES", 5)

@@ -46,7 +46,7 @@ def _scene_html(scene: Scene) -> str:
         ("gravity", f"{_vector(scene.gravity)} m/s²"),
         ("bounds", "" if scene.bounds is None else " to ".join(map(_vector, scene.bounds)) + " m"),
     ]
-    return _side_by_side(_summary("Scene", rows), _picture(lambda: _still(scene), scene))
+    return _side_by_side(_summary("Scene", rows), _picture(lambda: _first_environment(_AtStart(scene)), scene))
 
 
 @html_of.register
@@ -173,28 +173,24 @@ def _uri(content: bytes, suffix: str) -> str:
     return f"data:{TYPES[suffix]};base64,{base64.b64encode(content).decode()}"
 
 
-def _still(scene: Scene) -> Recording:
-    """A scene as a recording of one frame."""
-    bodies = scene.bodies
-    surfaces, surface = surfaces_of(bodies)
-    return Recording(
-        time=np.zeros(1),
-        position=np.array([[[body.position for body in bodies]]], np.float32),
-        orientation=np.array([[[body.orientation for body in bodies]]], np.float32),
-        asleep=np.zeros((1, 1, len(bodies)), bool),
-        level=np.zeros((1, 1, len(bodies)), np.int32),
-        fps=1.0,
-        envs=np.zeros(1, np.int64),
-        labels=("",),
-        names=tuple(body.name for body in bodies),
-        motion=np.array([int(body.motion) for body in bodies], np.int64),
-        surface=surface,
-        surfaces=surfaces,
-        scene=scene,
-    )
+class _AtStart:
+    """A scene as a simulator of one environment before the first step, with what Recorder reads of it."""
+
+    num_envs, time, scene_of = 1, 0.0, np.zeros(1, int)
+
+    def __init__(self, scene: Scene) -> None:
+        """Store the scene."""
+        self.scenes = [scene]
+
+    def get(self, name: str) -> np.ndarray:
+        """See Simulator.get."""
+        scene = self.scenes[0]
+        if name == "gravity":
+            return np.array([scene.gravity])
+        return np.array([[getattr(body, name, 0) for body in scene.bodies]])  # 0 is "asleep" and "level"
 
 
-def _first_environment(sim: Simulator) -> Recording:
+def _first_environment(sim: Simulator | _AtStart) -> Recording:
     """The present state of environment 0."""
     recorder = Recorder(sim, 1.0, [0])
     recorder.capture(sim)
