@@ -73,7 +73,7 @@ class BenchOptions:
             raise ValueError("--phases: cannot be combined with --frames, --settle, --peers and --output")
         if self.until is not None and not self.phases:
             raise ValueError("--until: needs --phases")
-        check_outputs(None, {self.output: (".png",)} if self.output else {})
+        check_outputs(None, {self.output: (".png",)})
         if self.json_lines:
             check_writable(self.json_lines)
 

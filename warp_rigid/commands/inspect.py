@@ -27,7 +27,7 @@ def inspect_command(
     """Report mass properties, repairs, surface samples and signed distance error of a mesh."""
     if cut and not output:
         raise ValueError("--slice: requires -o FILE.png")
-    check_outputs(None, {output: (".png",)} if output else {})
+    check_outputs(None, {output: (".png",)})
     solid = _find_mesh(mesh, sdf_resolution)
     if output:
         lower, upper = solid.bounds

@@ -138,8 +138,7 @@ class RunOptions:
         if len(set(written)) < len(written):
             raise ValueError(f"{max(written, key=written.count)}: is given for two outputs")
         films = {self.picture: (".png",), self.film: (".gif", ".mp4"), self.contact_sheet: (".png",)}
-        pictures = {**films, self.html: (".html",)}
-        check_outputs(self.output, {path: endings for path, endings in pictures.items() if path})
+        check_outputs(self.output, {**films, self.html: (".html",)})
         self.check_unread([self.scene])
         one_of("--color", self.color, COLORINGS)
         usd = self.usd

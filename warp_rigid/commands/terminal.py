@@ -86,14 +86,14 @@ def check_writable(path: Any) -> None:
         raise OSError(error.errno, f"cannot be written: {folder}: {error.strerror}", str(path)) from None
 
 
-def check_outputs(output: str | None, pictures: dict[str, tuple[str, ...]]) -> None:
+def check_outputs(output: str | None, pictures: dict[str | None, tuple[str, ...]]) -> None:
     """Check output suffixes, optional modules and that the files can be written, before the simulation runs."""
     if output and not output.endswith((".usdc", ".usda", ".usdz", ".usd", ".glb")):
         raise ValueError(f"-o: must end in .usdc, .usda, .usdz, .usd or .glb, got {output}")
     for path, endings in pictures.items():
-        if not path.endswith(endings):
+        if path and not path.endswith(endings):
             raise ValueError(f"{path}: must end in {' or '.join(endings)}")
-    for path in (output, *pictures) if output else pictures:
+    for path in filter(None, (output, *pictures)):
         check_writable(path)
         need_for_file(path)
 
