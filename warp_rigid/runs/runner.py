@@ -423,8 +423,8 @@ def _result(plan: Plan, progress: Progress, verdicts: list[Verdict]) -> Result:
         "labels": list(plan.labels),
         "variants": {label: plan.demo.variants[label] for label in plan.labels if label in plan.demo.variants},
         **{name: int(value) for name, value in sim.counts().items()},
-        "penetration": _numbers(sim.penetration()),
-        "deepest_penetration": _numbers(progress.deepest),
+        "penetration": sim.penetration().tolist(),
+        "deepest_penetration": progress.deepest.tolist(),
         "failed": _records(status, ~np.isin(status["status"], ("ok", "out of bounds"))),
         "out_of_bounds": _records(status, status["status"] == "out of bounds"),
         "warnings": [dict(zip(WARNING_NAMES, record.item(), strict=True)) for record in sim.warnings()],
@@ -450,11 +450,7 @@ def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, An
         "name": verdict.name,
         "limit": verdict.limit,
         "unit": verdict.unit,
-        "values": verdict.values.tolist() if verdict.values.dtype == bool else _numbers(verdict.values),
+        "values": verdict.values.astype(bool if verdict.values.dtype == bool else float).tolist(),
         "passed": None if verdict.passed is None else [bool(passed) for passed in verdict.passed],
         "expected": [None if variant is None else verdict.expected.get(variant) for variant in variants],
     }
-
-
-def _numbers(values) -> list[float]:
-    return [float(value) for value in np.atleast_1d(values)]

@@ -180,7 +180,7 @@ def _initial_bounds(sim: Simulator) -> tuple[np.ndarray, np.ndarray]:
     for index, scene in enumerate(sim.scenes):
         bounds = [np.asarray(body.shape.bounds, np.float64) for body in scene.bodies]
         radius[index, : len(bounds)] = [np.linalg.norm(np.abs(b).max(axis=0)) for b in bounds]
-    spheres = np.where(np.isfinite(radius), radius, np.nan)[sim.scene_of][..., None]
+    spheres = radius[sim.scene_of][..., None]
     position = sim.get("position").astype(np.float64)
     finite = np.isfinite(spheres)
     lower = np.where(finite, position - spheres, np.inf).min(axis=1, keepdims=True)
