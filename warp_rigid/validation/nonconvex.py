@@ -4,9 +4,9 @@ import numpy as np
 import trimesh
 
 from warp_rigid import rotations
-from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh, Sphere
 from warp_rigid.scenes.builders import meshes
+from warp_rigid.scenes.builders.grounds import EARTH
 from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground, static
 from warp_rigid.validation import solids
 from warp_rigid.validation.case import (
@@ -22,7 +22,7 @@ from warp_rigid.validation.case import (
     measured,
     relative,
 )
-from warp_rigid.validation.common import NO_GRAVITY, G, orientation_about
+from warp_rigid.validation.common import NO_GRAVITY, orientation_about
 from warp_rigid.validation.experiment import Experiment, Start, of_body
 from warp_rigid.validation.towers import tilt
 
@@ -41,19 +41,17 @@ def cases(quick: bool) -> Cases:
     return [*listed, random_overlaps(2048), bypass(1 / 240), bypass(0.05)]
 
 
-OVERTURNED = orientation_about((0, 1, 0), 180.0)
+def tip_down(solid, **motion):
+    """A part of a scene: a spike or a wedge without friction, its tip just above the origin."""
+    orientation = orientation_about((0, 1, 0), 180.0)
+    return body(Mesh(*solid), position=(0, 0, 3.0 + OVER), orientation=orientation, friction=0.0, **motion)
 
 
 def sliding_tips():
     """A tip that slides over a plane must not snag."""
 
-    def experiment(name, shape):
-        def tip(made):
-            place = (0, 0, 3.0 + OVER)
-            made.add_body(
-                Mesh(*shape()), position=place, orientation=OVERTURNED, linear_velocity=(10, 0, 0), friction=0.0
-            )
-
+    def experiment(name, solid):
+        tip = tip_down(solid, linear_velocity=(10, 0, 0))
         return Experiment(on_ground(tip, gravity=NO_GRAVITY, friction=0.0), 1.0, dt=0.01, label=name)
 
     return case(
@@ -61,20 +59,17 @@ def sliding_tips():
         ERLEBEN,
         measured("distance in 1 s", "m", lambda t: t.position[-1, :, 1, 0], absolute(1e-4), 10.0),
         measured("turn", "rad/s", lambda t: np.abs(t.angular_velocity[-1, :, 1]).max(axis=1), at_most(1e-4)),
-        of=(experiment("spike", solids.spike), experiment("wedge", solids.wedge)),
+        of=(experiment("spike", solids.spike()), experiment("wedge", solids.wedge())),
     )
 
 
 def tips_on_tips():
     """A tip dropped on a tip slides off it without penetration."""
+    spike, wedge = solids.spike(), solids.wedge()
 
     def experiment(name, below, above):
-        def scene():
-            made = Scene()
-            made.add_static(Mesh(*below()), position=(0, 0, -3.0), friction=0.0)
-            made.add_body(Mesh(*above()), position=(0, 0, 3.0 + OVER), orientation=OVERTURNED, friction=0.0)
-            return made
-
+        lower = static(Mesh(*below), position=(0, 0, -3.0), friction=0.0)
+        scene = in_space(lower, tip_down(above), gravity=EARTH)
         return Experiment(scene, 1.25, dt=0.01, label=name, watch_overlap=True)
 
     return case(
@@ -83,9 +78,9 @@ def tips_on_tips():
         measured("deepest overlap, 1 % of the width allowed", "m", lambda t: t.overlap.max(axis=0), at_most(0.01)),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(0.0), 20.0),
         of=(
-            experiment("spike on spike", solids.spike, solids.spike),
-            experiment("wedge on wedge", solids.wedge, solids.wedge),
-            experiment("spike on wedge", solids.wedge, solids.spike),
+            experiment("spike on spike", spike, spike),
+            experiment("wedge on wedge", wedge, wedge),
+            experiment("spike on wedge", wedge, spike),
         ),
     )
 
@@ -94,15 +89,12 @@ def internal_edges(duration):
     """A cube rests flat on a slab of many triangles, also where its faces are flush with those of the slab."""
 
     def experiment(name, half, divisions):
-        def slab(made):
-            corners, faces = solids.cube()
-            flat = trimesh.Trimesh(corners * [2, 2, 1], faces)
-            for _ in range(divisions):
-                flat = flat.subdivide()
-            made.add_static(Mesh.from_trimesh(flat), position=(0, 0, -0.5))
-
+        corners, faces = solids.cube()
+        slab = trimesh.Trimesh(corners * [2, 2, 1], faces)
+        for _ in range(divisions):
+            slab = slab.subdivide()
         cube = body(Box(half), position=(0, 0, half[2] + 0.05))
-        scene = in_space(slab, cube, gravity=(0, 0, -G))
+        scene = in_space(static(Mesh.from_trimesh(slab), position=(0, 0, -0.5)), cube, gravity=EARTH)
         return Experiment(scene, duration, label=name, every=2)
 
     return case(
@@ -128,29 +120,23 @@ def rest_height(trace):
 def push_out():
     """Two overlapping bodies separate within half a second without gaining velocity."""
     cube = Box((0.1, 0.1, 0.1))
-    bunny = meshes.bunny
     rows = {
-        "spheres": (lambda: Sphere(0.1), ((0.3, 0), (0.9, 0))),
-        "capsules": (lambda: Capsule(0.1, 0.2), ((0.3, 0), (0.9, 0))),
-        "cubes": (lambda: cube, ((0.1, 0), (0.3, 0), (0.2, 35), (0.5, 0))),
-        "bunnies": (lambda: bunny(sdf_resolution=32), ((0.3, 0), (0.5, 60))),
+        "spheres": (Sphere(0.1), ((0.3, 0), (0.9, 0))),
+        "capsules": (Capsule(0.1, 0.2), ((0.3, 0), (0.9, 0))),
+        "cubes": (cube, ((0.1, 0), (0.3, 0), (0.2, 35), (0.5, 0))),
+        "bunnies": (meshes.bunny(sdf_resolution=32), ((0.3, 0), (0.5, 60))),
     }
 
     def experiment(name, shape, cells):
-        def add(made):
-            made.add_body(shape())
-
         overlap, degrees = np.array(cells, np.float64).T
         place = np.stack([0.2 * (1 - overlap), 0 * overlap + 0.01, 0 * overlap + 0.02], axis=1)
         starts = of_body(position=place, orientation=orientation_about((1, 2, 3), degrees))
         names = tuple(f"{100 * fraction:g} % of the width, turned by {angle:g} deg" for fraction, angle in cells)
-        return Experiment(in_space(add, add), 0.5, names, starts, label=name, watch_overlap=True)
+        return Experiment(in_space(body(shape), body(shape)), 0.5, names, starts, label=name, watch_overlap=True)
 
     experiments = tuple(experiment(name, *row) for name, row in rows.items())
-    stuck = experiment("cubes", lambda: cube, ((0.8, 35),))
-    boxes = in_space(
-        *(body(Box(half), position=place, orientation=orientation) for half, place, orientation in CROSSING)
-    )
+    stuck = experiment("cubes", cube, ((0.8, 35),))
+    boxes = in_space(*(body(Box(half), position=place, orientation=turn) for half, place, turn in CROSSING))
     crossing = Experiment(boxes, 0.5, ("two boxes whose edges cross",), watch_overlap=True)
     count = sum(len(one.variants) for one in experiments)
 

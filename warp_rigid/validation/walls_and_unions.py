@@ -6,12 +6,12 @@ import numpy as np
 import trimesh
 
 from warp_rigid import rotations
-from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
+from warp_rigid.scenes.builders.grounds import EARTH
+from warp_rigid.scenes.builders.scene_parts import body, in_space, static
 from warp_rigid.validation.case import Cases, Check, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import NO_GRAVITY
 from warp_rigid.validation.experiment import Experiment, of_body
 
 SIZE = 0.3
@@ -56,21 +56,18 @@ BODIES = {
 def vessels(kinds, shares, bodies, count=6):
     """Bodies dropped into vessels whose walls are a share of their width; a cell of the grid is 1/64 of it."""
 
-    def experiment(kind, share, body):
+    def experiment(kind, share, name):
         def scene():
-            made = Scene()
-            made.add_static(vessel(kind, SIZE / share))
-            made.add_body(BODIES[body]())
-            return made
+            return in_space(static(vessel(kind, SIZE / share)), body(BODIES[name]()), gravity=EARTH)()
 
         draw = np.random.default_rng(72)
         place = draw.uniform((-0.05, -0.05, SIZE), (0.05, 0.05, SIZE), (count, 3))
         starts = of_body(position=place, orientation=rotations.random(draw, count))
-        names = tuple(str(k) for k in range(count))
-        label = f"{body}, {kind} 1/{share}"
-        return Experiment(scene, 2.0, names, starts, every=4, label=label, watch_overlap=True)
+        variants = tuple(str(k) for k in range(count))
+        label = f"{name}, {kind} 1/{share}"
+        return Experiment(scene, 2.0, variants, starts, every=4, label=label, watch_overlap=True)
 
-    cells = [(kind, share, body) for kind in kinds for share in shares for body in bodies]
+    cells = [(kind, share, name) for kind in kinds for share in shares for name in bodies]
     experiments = tuple(experiment(*cell) for cell in cells)
 
     def outside(trace):
@@ -82,8 +79,8 @@ def vessels(kinds, shares, bodies, count=6):
         "what is inside a closed wall stays inside",
         measured("outside at any time", "", outside, at_most(0.0)),
         *(
-            measured(f"deepest overlap of the {body} at any time", "m", deepest, at_most(DEEPEST), rows=rows)
-            for body, rows in ((body, np.repeat([cell[2] == body for cell in cells], count)) for body in bodies)
+            measured(f"deepest overlap of the {name} at any time", "m", deepest, at_most(DEEPEST), rows=rows)
+            for name, rows in ((name, np.repeat([cell[2] == name for cell in cells], count)) for name in bodies)
         ),
         of=experiments,
     )
@@ -101,13 +98,8 @@ def plates():
     orientations = np.column_stack([tilts, np.ones(4)])
     orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)
 
-    def scene():
-        plate = Mesh.from_trimesh(trimesh.creation.box((SIZE, SIZE, PLATE)))
-        made = Scene(gravity=NO_GRAVITY)
-        made.add_static(plate)
-        made.add_body(plate, position=(0.03, -0.02, 0.05))
-        return made
-
+    plate = Mesh.from_trimesh(trimesh.creation.box((SIZE, SIZE, PLATE)))
+    scene = in_space(static(plate), body(plate, position=(0.03, -0.02, 0.05)))
     names = tuple(f"{speed:g} m/s, tilt {k}" for speed in speeds for k in range(len(orientations)))
     velocity = [(0.0, 0.0, -speed) for speed in speeds for _ in orientations]
     starts = of_body(orientation=np.tile(orientations, (len(speeds), 1)), linear_velocity=velocity)
