@@ -6,6 +6,7 @@ from warp_rigid import rotations
 from warp_rigid.validation.case import Check, at_most, measured
 from warp_rigid.validation.experiment import Trace
 
+COULOMB = "Coulomb's law, closed form"
 G = 9.81
 NO_GRAVITY = (0.0, 0.0, 0.0)
 RESTING = 1e-3

@@ -7,11 +7,10 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, Miss, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import G, at_time, downhill, gain_of_energy, orientation_about, time_at_rest
+from warp_rigid.validation.common import COULOMB, G, at_time, downhill, gain_of_energy, orientation_about, time_at_rest
 from warp_rigid.validation.experiment import Experiment, Start, of_body, per_env
 from warp_rigid.validation.solids import cube
 
-COULOMB = "Coulomb's law, closed form"
 CUBE, SLAB, SMALL = Box((0.5, 0.5, 0.5)), Box((0.2, 0.2, 0.05)), Box((0.05, 0.05, 0.05))
 
 

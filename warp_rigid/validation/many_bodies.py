@@ -65,19 +65,17 @@ def bins_of_boxes(count, bins, moves=None):
         piles.add_pile_bin(scene, count, friction=BIN_FRICTION)
         add_bodies(scene, stacks.CUBE, *piles.starts(count, 1000), friction=BIN_FRICTION)
 
-    def speed(traces):
-        return np.median(each(lambda t: t.speed[-1])(traces))
-
-    def overlap(traces):
-        return np.median(each(lambda t: t.overlap[-1])(traces))
+    def median(quantity, unit, measure, limit, miss=None):
+        values = each(measure)
+        return Check(quantity, unit, lambda s: np.median(values(s)), at_most(limit), labels=label, miss=miss)
 
     label, names = (f"median of {bins} bins",), tuple(f"mu {mu:.3f}" for mu in friction)
     scene, starts = on_ground(cubes, friction=BIN_FRICTION), (per_env("friction", friction),)
     return case(
         f"V76 {count} boxes in a bin at one step of 1/60 s per frame",
         "a heap of inelastic boxes comes to rest without overlap",
-        Check("largest speed after 6 s", "m/s or rad/s", speed, at_most(BIN_RESTING), labels=label, miss=moves),
-        Check("deepest overlap after 6 s", "m", overlap, at_most(2.5e-4), labels=label),
+        median("largest speed after 6 s", "m/s or rad/s", lambda t: t.speed[-1], BIN_RESTING, moves),
+        median("deepest overlap after 6 s", "m", lambda t: t.overlap[-1], 2.5e-4),
         of=Experiment(scene, 6.0, names, starts, dt=1 / 60, every=30),
         curve=Curve("largest speed", "m/s or rad/s", lambda t: t.speed),
     )

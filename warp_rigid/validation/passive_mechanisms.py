@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -181,9 +182,8 @@ def chain(links: int) -> Scene:
         link = scene.add_body(Box((0.1, 0.01, 0.01)), position=(0.2 * k + 0.1, 0, 0), mass=1.0 / links)
         scene.add_joint(SphericalJoint(), link, above, anchor=(0.2 * k, 0, 0))
         above = link
-    for a in range(links):
-        for b in range(a + 1, links):
-            scene.filter_pair(a, b)
+    for pair in combinations(range(links), 2):
+        scene.filter_pair(*pair)
     return scene
 
 

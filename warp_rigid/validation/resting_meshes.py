@@ -16,7 +16,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, Shape, topology
 from warp_rigid.scenes.builders import grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.validation.case import Cases, Check, ValidationCase, at_most
+from warp_rigid.validation.case import Cases, Check, ValidationCase, at_most, case
 from warp_rigid.validation.solids import winding
 
 SECONDS = 6.0
@@ -170,14 +170,11 @@ def resting(names: list[str]) -> ValidationCase:
         """By how much the reported overlaps are wrong, beyond 1 % [m]."""
         return np.maximum(np.abs(found[:, 1] - found[:, 0]) - 0.01 * found[:, 0], 0.0).max(axis=1)
 
-    return ValidationCase(
-        "V104",
-        f"{ENVS} piles of meshes of each kind after {SECONDS:g} s",
+    return case(
+        f"V104 {ENVS} piles of meshes of each kind after {SECONDS:g} s",
         "points of the meshes; winding number and distances to all triangles, float64",
-        (
-            Check("deepest overlap", "m", lambda found: found[:, 0].max(axis=1), at_most(DEEPEST)),
-            Check("difference of the reported overlap beyond 1 %", "m", error, at_most(2e-6)),
-        ),
+        Check("deepest overlap", "m", lambda found: found[:, 0].max(axis=1), at_most(DEEPEST)),
+        Check("difference of the reported overlap beyond 1 %", "m", error, at_most(2e-6)),
         compute=compute,
         labels=names,
     )

@@ -5,10 +5,8 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, at_most, case, measured, relative
-from warp_rigid.validation.common import G, at_time, downhill, first_time, orientation_about, time_at_rest
+from warp_rigid.validation.common import COULOMB, G, at_time, downhill, first_time, orientation_about, time_at_rest
 from warp_rigid.validation.experiment import Experiment, Start, of_body, per_env
-
-COULOMB = "Coulomb's law, closed form"
 
 
 def cases(quick: bool) -> Cases:

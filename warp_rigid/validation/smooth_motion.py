@@ -1,10 +1,9 @@
 """Section I: bodies that roll over cells, land flush on each other, and are carried along circles."""
 
-from typing import Any
+from operator import methodcaller
 
 import numpy as np
 
-from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Heightfield, Sphere
 from warp_rigid.scenes.builders.grounds import EARTH
 from warp_rigid.scenes.builders.scene_parts import body, in_space, static
@@ -74,16 +73,15 @@ def flush_landing() -> ValidationCase:
 
 def turntable(steps, duration: float) -> ValidationCase:
     """Boxes that a turntable carries."""
+    spinning = {"angular_velocity": (0, 0, SPIN), "friction": 0.5}
+    table = methodcaller("add_kinematic", Cylinder(1.0, 0.05), position=(0, 0, -0.05), **spinning)
 
-    def scene():
-        made = Scene()
-        made.add_kinematic(Cylinder(1.0, 0.05), position=(0, 0, -0.05), angular_velocity=(0, 0, SPIN), friction=0.5)
-        for k, radius in enumerate(PLACES):
-            way = np.array([np.cos(k), np.sin(k), 0.0])
-            velocity = SPIN * radius * np.array([-way[1], way[0], 0])
-            motion: dict[str, Any] = {"linear_velocity": velocity, "angular_velocity": (0, 0, SPIN)}
-            made.add_body(Box((HALF,) * 3), position=radius * way + (0, 0, HALF), friction=0.5, **motion)
-        return made
+    def box(k: int, radius: float):
+        way = np.array([np.cos(k), np.sin(k), 0.0])
+        velocity = SPIN * radius * np.array([-way[1], way[0], 0])
+        return body(Box((HALF,) * 3), position=radius * way + (0, 0, HALF), linear_velocity=velocity, **spinning)
+
+    scene = in_space(table, *(box(*one) for one in enumerate(PLACES)), gravity=EARTH)
 
     def creep(trace):
         radius = np.linalg.norm(trace.position[:, :, 1:, :2], axis=3)
