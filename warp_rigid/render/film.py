@@ -235,18 +235,22 @@ def _film_of_stage(stage) -> Film:
     motions = {motion.name.lower(): motion for motion in Motion}
     for index, group in groups:
         several = group.IsA(UsdGeom.PointInstancer)
-        drawn, image, positions, turns, colors = (_read_instancer if several else _read_body)(group, frames)
+        drawn, image = _read_mesh(_prototype(group) if several else group, frames)
+        names = ("positions", "orientationsf") if several else ("xformOp:translate", "xformOp:orient")
+        positions, turns = (_read(group.GetAttribute(name), frames) for name in names)
+        colors = _read(UsdGeom.PrimvarsAPI(group).GetPrimvar("displayColor").GetAttr(), frames)
         key = drawn.vertices.tobytes() + drawn.faces.tobytes() + (b"" if drawn.uv is None else drawn.uv.tobytes())
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
         body = np.array(group.GetAttribute("ids").Get() if several else [count[index]], np.int64)
+        shape = len(frames), len(body)
         parts.append(
             {
                 "mesh": np.full(len(body), mesh_index[key]),
                 "color": colors,
-                "position": positions + offset[index].astype(np.float32),
-                "orientation": turns,
+                "position": positions.astype(np.float32).reshape(*shape, 3) + offset[index].astype(np.float32),
+                "orientation": turns.reshape(*shape, 4),
                 "env": np.full(len(body), index),
                 "body": body,
                 "motion": np.full(len(body), motions.get(str(custom_data(group).get("motion")), Motion.STATIC)),
@@ -283,30 +287,19 @@ def _camera_of_stage(stage) -> Camera:
     return Camera()
 
 
-def _read_instancer(prim, frames):
-    """Read the mesh of a PointInstancer and its image, and positions, orientations and colours of its instances."""
+def _prototype(instancer):
+    """The mesh of a PointInstancer."""
     from pxr import UsdGeom
 
-    from warp_rigid.usd.preview_surface import uv_and_image
-
-    instancer = UsdGeom.PointInstancer(prim)
-    targets = instancer.GetPrototypesRel().GetTargets()
-    mesh = UsdGeom.Mesh(prim.GetStage().GetPrimAtPath(targets[0])) if targets else None
-    if not mesh:
-        raise ValueError(f"{prim.GetPath()}: must have a mesh as its prototype")
-    points = mesh.GetPointsAttr()
-    vertices = np.array(points.Get(), dtype=np.float32)
-    moving = tuple(_read(points, frames)) if points.ValueMightBeTimeVarying() else ()
-    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int32).reshape(-1, 3)
-    normals = np.array(mesh.GetNormalsAttr().Get(), dtype=np.float32).reshape(-1, 3, 3)
-    color = _read(UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor").GetAttr(), frames)
-    places, turns = (_read(entry, frames) for entry in (instancer.GetPositionsAttr(), instancer.GetOrientationsfAttr()))
-    uv, image = uv_and_image(mesh.GetPrim())
-    return DrawnMesh(vertices, faces, normals, moving, uv), image, places, turns, color
+    targets = UsdGeom.PointInstancer(instancer).GetPrototypesRel().GetTargets()
+    mesh = instancer.GetStage().GetPrimAtPath(targets[0]) if targets else None
+    if not mesh or not mesh.IsA(UsdGeom.Mesh):
+        raise ValueError(f"{instancer.GetPath()}: must have a mesh as its prototype")
+    return mesh
 
 
-def _read_body(prim, frames):
-    """Read a single body in the same form; its parts that are drawn are joined to one mesh."""
+def _read_mesh(prim, frames) -> tuple[DrawnMesh, str | None]:
+    """Read the parts of a body that are drawn, joined to one mesh, and its image."""
     from pxr import Usd, UsdGeom
 
     from warp_rigid.usd.preview_surface import uv_and_image
@@ -335,12 +328,8 @@ def _read_body(prim, frames):
         np.concatenate([moving[k][f] if k in moving else part for k, part in enumerate(vertices)]).astype(np.float32)
         for f in range(len(frames) if moving else 0)
     ]
-    color = _read(UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor").GetAttr(), frames)
-    places = _read(prim.GetAttribute("xformOp:translate"), frames).astype(np.float32)
-    turns = _read(prim.GetAttribute("xformOp:orient"), frames)
     uv = np.concatenate(coordinates) if image else None
-    drawn = DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown), uv)
-    return drawn, image, places[:, None], turns[:, None], color
+    return DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown), uv), image
 
 
 def _read_gloss(prim, count: int) -> np.ndarray:
