@@ -8,7 +8,7 @@ import trimesh
 
 from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.render.textures import image_filter, read_image
-from warp_rigid.viewer.page import add_ground, opacity_of_walls
+from warp_rigid.viewer.page import add_ground, add_labels, opacity_of_walls
 
 FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
 LARGEST_SIDE = 1024
@@ -59,7 +59,7 @@ class DrawnBatch:
 
 
 class Instances:
-    """The instances of a film's meshes.
+    """The instances of a film's meshes, its endless grounds and the labels of its environments.
 
     Args:
         server: the viser server.
@@ -76,7 +76,7 @@ class Instances:
         self._batches = []
         self._own = self._colors = bytes_of_light(film.color_at(0))
         self._wire = False
-        self._grounds = add_ground(server, film)
+        self._beside = [*add_ground(server, film), *add_labels(server, film)]
         shown = ~film.level
         for index, moves, image in np.unique(np.stack([film.mesh, moving, film.image])[:, shown], axis=1).T.tolist():
             chosen = (film.mesh == index) & (moving == moves) & (film.image == image) & shown
@@ -129,10 +129,10 @@ class Instances:
         self._picture()
 
     def remove(self) -> None:
-        """Remove all batches from the page."""
-        for handle in (*self._grounds, *(handle for handle, _ in self.handles)):
+        """Remove all of it from the page."""
+        for handle in (*self._beside, *(handle for handle, _ in self.handles)):
             handle.remove()
-        self._grounds, self._batches = [], []
+        self._beside, self._batches = [], []
 
     def _picture(self) -> None:
         """Show images on opaque bodies of their own colours: the page can neither fade nor colour an image."""

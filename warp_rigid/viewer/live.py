@@ -77,7 +77,6 @@ class LiveViewer:
         self._looping = False
         self._stopped = False
         self._instances: Instances | None = None
-        self._labels: list = []
         self._options: dict[str, Any] = {"coloring": "body", "sleepers": True, "wireframe": False, "strength": 2.0}
         self._options |= {"slice": False, "axis": "y", "place": 0.5}
         self._overlays = Overlays(self.server)
@@ -360,11 +359,8 @@ class LiveViewer:
         with self.server.atomic():
             if self._instances is not None:
                 self._instances.remove()
-            for label in self._labels:
-                label.remove()
             self._instances = Instances(self.server, self._film, np.tile(motion != Motion.STATIC, len(self.rows)))
             self._instances.wire(self._options["wireframe"])
-            self._labels = page.add_labels(self.server, self._film)
         points = points_to_see(self._film, [0])
         self._extent = float(np.ptp(points, axis=0).max())
         for handle, chosen in self._instances.handles:

@@ -14,7 +14,7 @@ from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import camera_of_text, with_body_index
 from warp_rigid.viewer import page
 from warp_rigid.viewer.instances import Instances
-from warp_rigid.viewer.server import own_title
+from warp_rigid.viewer.server import CheckedServer, own_title
 
 PERIOD = 1.0 / 30.0
 """Time between updates of the page [s]."""
@@ -75,10 +75,7 @@ class FilmViewer:
         self._speed = 1.0
         self._stop = threading.Event()
         self.server = page.start_server(host, port)
-        page.set_light(self.server, fast)
-        self._instances = Instances(self.server, film, film.moving)
-        page.add_labels(self.server, film)
-        page.look_at_film(self.server, film)
+        self._instances = _show_film(self.server, film, fast)
         page.on_each_page(self.server, lambda client: page.keep_framed(client, lambda: self.film))
         self._add_controls()
 
@@ -152,6 +149,14 @@ class FilmViewer:
         self.playing = not self.playing
 
 
+def _show_film(server: CheckedServer, film: Film, fast: bool) -> Instances:
+    """Show the first frame of a film to all pages, in its light and with its camera."""
+    page.set_light(server, fast)
+    instances = Instances(server, film, film.moving)
+    page.look_at_film(server, film)
+    return instances
+
+
 def save_html(film: Film, path, fast: bool = False) -> None:
     """Write a film as one HTML file, which plays without a server or a network connection.
 
@@ -165,10 +170,7 @@ def save_html(film: Film, path, fast: bool = False) -> None:
     """
     server = page.start_server("127.0.0.1", 8080)
     try:
-        page.set_light(server, fast)
-        instances = Instances(server, film, film.moving)
-        page.add_labels(server, film)
-        page.look_at_film(server, film)
+        instances = _show_film(server, film, fast)
         serializer = server.get_scene_serializer()
         stride = max(1, round(film.fps / PAGE_RATE))
         last = event_end(film)

@@ -125,7 +125,7 @@ class SliceView:
             cast_shadow=False,
             receive_shadow=False,
         )
-        length = float(size.max()) / 22.0
+        length = float(size.max()) / ARROWS
         self._scene.add_arrows(
             "/slice/gradient",
             found.arrows,
