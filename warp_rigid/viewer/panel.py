@@ -170,11 +170,8 @@ class Panel:
         gui, change = self._gui, self._viewer.change
         processing = gui.add_checkbox("Contact processing", True, hint="Off: no contact iterations")
         self._add("contact_processing", processing, lambda on: self._iterate_contacts(on * self._contact_iterations))
-        self._add(
-            "shock_propagation",
-            gui.add_dropdown("Shock propagation", SHOCK_MODES),
-            partial(change, "shock_propagation"),
-        )
+        modes = gui.add_dropdown("Shock propagation", SHOCK_MODES)
+        self._add("shock_propagation", modes, partial(change, "shock_propagation"))
         for name, span in SLIDERS.items():
             set_count = self._iterate_contacts if name == "contact_iterations" else partial(change, name)
             slider = gui.add_slider(_label(name), *span, span[0])
@@ -202,23 +199,22 @@ class Panel:
 
     def _add_show(self) -> None:
         gui, viewer = self._gui, self._viewer
-        self._add("coloring", gui.add_dropdown("Colours", COLORINGS), partial(viewer.option, "coloring"))
-        self._add("wireframe", gui.add_checkbox("Wireframe", False), partial(viewer.option, "wireframe"))
-        sleepers = gui.add_checkbox("Sleeping bodies transparent", True)
-        self._add("sleepers", sleepers, partial(viewer.option, "sleepers"))
+        self._add("coloring", gui.add_dropdown("Colours", COLORINGS))
+        self._add("wireframe", gui.add_checkbox("Wireframe", False))
+        self._add("sleepers", gui.add_checkbox("Sleeping bodies transparent", True))
         for name in OVERLAYS:
             self._add(name, gui.add_checkbox(name, False), partial(viewer.overlay, name))
-        shadows = gui.add_checkbox("Shadows", not viewer.fast, hint="Switch off on slow graphics hardware.")
-        self._add("shadows", shadows, partial(viewer.option, "shadows"))
+        hint = "Switch off on slow graphics hardware."
+        self._add("shadows", gui.add_checkbox("Shadows", not viewer.fast, hint=hint))
 
     def _add_touch(self) -> None:
         gui = self._gui
         gui.add_markdown("Click a body to push it away from you; drag it to pull it.")
-        strength = gui.add_slider("Push [m/s]", 0.1, 20.0, 0.1, 2.0, hint="Speed of a body that is hit at its centre.")
-        self._add("strength", strength, partial(self._viewer.option, "strength"))
+        hint = "Speed of a body that is hit at its centre."
+        self._add("strength", gui.add_slider("Push [m/s]", 0.1, 20.0, 0.1, 2.0, hint=hint))
         self._said = gui.add_markdown("")
         self._inspected = gui.add_markdown("")
-        self._add("spawned", gui.add_dropdown("New body", SPAWNED), partial(self._viewer.option, "spawned"))
+        self._add("spawned", gui.add_dropdown("New body", SPAWNED))
         drop = gui.add_button_group("", ("Drop",), hint="Drops it above the others, into every environment.")
         drop.on_click(lambda event: self._viewer.ask(self._viewer.spawn, self._widgets["spawned"].value))
 
@@ -276,13 +272,13 @@ class Panel:
         self._set("loop", False)
 
     def _add_slice(self) -> None:
-        gui, viewer = self._gui, self._viewer
-        self._add("slice", gui.add_checkbox("Show the signed distance", False), partial(viewer.option, "slice"))
+        gui = self._gui
+        self._add("slice", gui.add_checkbox("Show the signed distance", False))
         bodies = gui.add_dropdown("Body", ("0",), hint="Clicking a body also selects it.")
-        self._add("body", bodies, lambda value: viewer.choose(int(value.split()[0])))
-        self._add("axis", gui.add_dropdown("Plane across", AXES, initial_value="y"), partial(viewer.option, "axis"))
-        place = gui.add_slider("Position", 0.0, 1.0, 0.01, 0.5, hint="From one end of the body to the other.")
-        self._add("place", place, partial(viewer.option, "place"))
+        self._add("body", bodies, lambda value: self._viewer.choose(int(value.split()[0])))
+        self._add("axis", gui.add_dropdown("Plane across", AXES, initial_value="y"))
+        hint = "From one end of the body to the other."
+        self._add("place", gui.add_slider("Position", 0.0, 1.0, 0.01, 0.5, hint=hint))
         self._image = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="signed distance", visible=False)
 
     def _add_keys(self) -> None:
@@ -306,9 +302,9 @@ class Panel:
             command = self._gui.add_command(label, hotkey=key)
             command.on_trigger(lambda event, action=action: viewer.ask(action))
 
-    def _add(self, name: str, widget: Any, action: Callable[[Any], None]) -> None:
-        """Add a control: `action` executes a change of its value, in the viewer's thread."""
-        self._widgets[name], self._actions[name] = widget, action
+    def _add(self, name: str, widget: Any, action: Callable[[Any], None] | None = None) -> None:
+        """Add a control: `action` executes a change of its value, in the viewer's thread; None for an option."""
+        self._widgets[name], self._actions[name] = widget, action or partial(self._viewer.option, name)
 
         # A coroutine is called before the program can set the control again; a function would be called later.
         @widget.on_update
