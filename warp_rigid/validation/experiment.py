@@ -69,33 +69,30 @@ class Experiment:
         sim = Simulator(self.scene(), num_envs=len(self.variants), settings=settings, device=device)
         for start in self.starts:
             sim.set(start.name, start.value, bodies=start.bodies)
-        records: dict[str, list] = {name: [] for name in (*STATES, "overlap")}
-        self._record(sim, records)
+        records = [self._record(sim)]
         begun = time.perf_counter()
         for _ in range(max(1, round(self.duration / self.dt / self.every))):
             sim.step(self.every)
-            self._record(sim, records)
+            records.append(self._record(sim))
         seconds = time.perf_counter() - begun
-        overlap = records.pop("overlap") or [sim.penetration()]
+        if not self.watch_overlap:
+            records[-1]["overlap"] = sim.penetration()
         return Trace(
             experiment=self,
             scene=sim.scene,
-            time=self.dt * self.every * np.arange(len(records["position"])),
+            time=self.dt * self.every * np.arange(len(records)),
             mass=sim.get("mass").astype(np.float64),
             gravity=sim.get("gravity").astype(np.float64),
-            overlap=np.array(overlap, np.float64),
             contacts=sim.contacts(),
             residual=float(sim.stats()["residual"].max()),
             failed=sim.status()["status"] != "ok",
             seconds=seconds,
-            **{name: np.array(values, np.float64) for name, values in records.items()},
+            **{name: np.array([one[name] for one in records if name in one], np.float64) for name in records[-1]},
         )
 
-    def _record(self, sim: Simulator, records: dict[str, list]) -> None:
-        for name in STATES:
-            records[name].append(sim.get(name))
-        if self.watch_overlap:
-            records["overlap"].append(sim.penetration())
+    def _record(self, sim: Simulator) -> dict[str, np.ndarray]:
+        measured = {"overlap": sim.penetration()} if self.watch_overlap else {}
+        return {name: sim.get(name) for name in STATES} | measured
 
 
 STATES = ("position", "orientation", "linear_velocity", "angular_velocity")

@@ -48,20 +48,17 @@ def rolling(steps) -> ValidationCase:
 def flush_landing() -> ValidationCase:
     """A box that lands flush on a box of equal or double width, or bounces elastically on a narrower one."""
 
-    def scene(ratio: float, drop: float, **surface):
+    def fall(label: str, ratio: float, drop: float, **surface) -> Experiment:
         below = static(Box((2 * HALF * ratio,) * 3), position=(0, 0, 2 * HALF * ratio), **surface)
         box = body(Box((2 * HALF,) * 3), position=(0, 0, 4 * HALF * ratio + 2 * HALF + drop), **surface)
-        return in_space(below, box, gravity=EARTH)
+        return Experiment(in_space(below, box, gravity=EARTH), duration=1.0, label=label)
 
-    landings = [
-        Experiment(scene(ratio, 0.15, friction=0.6), duration=1.0, label=f"width {ratio:g} : 1") for ratio in (1.0, 2.0)
+    landings = [fall(f"width {ratio:g} : 1", ratio, 0.15, friction=0.6) for ratio in (1.0, 2.0)]
+    bounces = [
+        fall(f"overhang {far:g} : 1, elastic, friction {mu:g}", 1 / far, 2.5, friction=mu, restitution=1.0)
+        for far in (2.0, 5.0, 10.0)
+        for mu in (0.0, 0.5)
     ]
-
-    def bounce(overhang: float, friction: float) -> Experiment:
-        label = f"overhang {overhang:g} : 1, elastic, friction {friction:g}"
-        return Experiment(scene(1 / overhang, 2.5, friction=friction, restitution=1.0), duration=1.0, label=label)
-
-    bounces = [bounce(overhang, friction) for overhang in (2.0, 5.0, 10.0) for friction in (0.0, 0.5)]
     return case(
         "V101 box that lands flush on an equal or wider box, or bounces on a narrower one",
         "symmetry",
