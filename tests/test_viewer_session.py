@@ -236,3 +236,27 @@ def test_joints_stay_as_they_were_set_through_a_change_of_the_step():
     session.change("dt", 1.0 / 480.0)
     for name, value in before.items():
         assert np.array_equal(session.sim.get(name), value)
+
+
+FIELDS = """
+import warp_rigid as wr
+
+def scene():
+    made = wr.Scene(gravity=(0, 0, 0))
+    made.add_force_field(wr.UniformField((1.0, 0.0, 0.0)))
+    made.add_force_field(wr.PointField((0.0, 0.0, 9.0), 2.0))
+    made.add_body(wr.Sphere(0.1))
+    return made
+"""
+
+
+def test_force_fields_stay_as_they_were_set_through_a_change_of_the_step(tmp_path):
+    path = tmp_path / "fields.py"
+    path.write_text(FIELDS)
+    session = Session(str(path), assignments=("field_strength=7",), device="cpu")
+    session.sim.set("field_acceleration", (0.0, 3.0, 0.0))
+    names = ("field_strength", "field_acceleration", "field_center")
+    before = {name: session.sim.get(name) for name in names}
+    session.change("dt", 1.0 / 480.0)
+    for name, value in before.items():
+        np.testing.assert_array_equal(session.sim.get(name), value)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.engine import joint_quantities
-from warp_rigid.engine.quantities import WRITABLE
+from warp_rigid.engine.field_values import PREFIX
+from warp_rigid.engine.quantities import WRITABLE, is_of_bodies
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.rotations import inverse, rotate
@@ -266,21 +267,20 @@ class Session:
         self._judge = Paced(share=0.03, patience=0.2)
 
     def _replace(self, settings: Settings) -> None:
-        """Continue in a new simulator of the scene, with the state and settings of the bodies that it had."""
+        """Continue in a new simulator of the scene, with all that was set of what the last one had."""
         old = self.sim
         new = Simulator(self.plan.scene, old.num_envs, settings, old.device, old.seed)
         dynamic = [i for i, body in enumerate(old.scene.bodies[: old.num_bodies]) if body.motion == Motion.DYNAMIC]
-        for name in WRITABLE:
-            value = old.get(name)
-            if name in self._settings or name == "gravity":
-                if not np.array_equal(value, new.get(name)):
+        names = [*WRITABLE, *(joint_quantities.WRITABLE if old.scene.joints else ())]
+        names += [f"{PREFIX}{name}" for field in old.scene.force_fields for name in field.parameters()]
+        for name in names:
+            value, now = old.get(name), new.get(name)
+            if not is_of_bodies(name):
+                if not np.array_equal(value, now):
                     new.set(name, list(value) if name in self._settings else value)
-            elif not np.array_equal(value, new.get(name)[:, : old.num_bodies]):
+            elif not np.array_equal(value, now[:, : old.num_bodies]):
                 bodies = dynamic if name == "mass" else list(range(old.num_bodies))
                 new.set(name, value[:, bodies], bodies=bodies)
-        if old.scene.joints:
-            for name in joint_quantities.WRITABLE:
-                new.set(name, old.get(name))
         self._events = [(when - old.time, act) for when, act in self._events]
         self._time_before += old.time
         self.sim = new
