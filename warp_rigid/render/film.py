@@ -231,7 +231,8 @@ def _film_of_stage(stage) -> Film:
     frames = np.arange(codes.first, codes.last + 1)
     places = UsdGeom.XformCache()
     offset = np.array([places.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in envs])
-    meshes, mesh_index, parts, paths = [], {}, [], []
+    parts, paths = [], []
+    meshes: dict[bytes, DrawnMesh] = {}
     motions = {motion.name.lower(): motion for motion in Motion}
     for index, group in groups:
         several = group.IsA(UsdGeom.PointInstancer)
@@ -240,14 +241,12 @@ def _film_of_stage(stage) -> Film:
         positions, turns = (_read(group.GetAttribute(name), frames) for name in names)
         colors = _read(UsdGeom.PrimvarsAPI(group).GetPrimvar("displayColor").GetAttr(), frames)
         key = drawn.vertices.tobytes() + drawn.faces.tobytes() + (b"" if drawn.uv is None else drawn.uv.tobytes())
-        if key not in mesh_index:
-            mesh_index[key] = len(meshes)
-            meshes.append(drawn)
+        meshes.setdefault(key, drawn)
         body = np.array(group.GetAttribute("ids").Get() if several else [count[index]], np.int64)
         shape = len(frames), len(body)
         parts.append(
             {
-                "mesh": np.full(len(body), mesh_index[key]),
+                "mesh": np.full(len(body), list(meshes).index(key)),
                 "color": colors,
                 "position": positions.astype(np.float32).reshape(*shape, 3) + offset[index].astype(np.float32),
                 "orientation": turns.reshape(*shape, 4),
@@ -267,7 +266,7 @@ def _film_of_stage(stage) -> Film:
         **found,
         image=image_index,
         images=images,
-        meshes=tuple(meshes),
+        meshes=tuple(meshes.values()),
         fps=stage.GetFramesPerSecond(),
         offset=offset,
         labels=tuple(prim.GetDisplayName() for prim in envs),

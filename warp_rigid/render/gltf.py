@@ -98,8 +98,7 @@ class _Assembly:
 
     def node(self, parent: int | None = None, **values) -> int:
         """Add a node; returns its index."""
-        self._gltf.nodes.append(self._library.Node(**values))
-        index = len(self._gltf.nodes) - 1
+        index = _added(self._gltf.nodes, self._library.Node(**values))
         if parent is not None:
             self._gltf.nodes[parent].children.append(index)
         return index
@@ -114,16 +113,14 @@ class _Assembly:
         )
         if bounds:
             accessor.min, accessor.max = (np.atleast_1d(pick(values, axis=0)).tolist() for pick in (np.min, np.max))
-        self._gltf.accessors.append(accessor)
-        return len(self._gltf.accessors) - 1
+        return _added(self._gltf.accessors, accessor)
 
     def _view(self, content: bytes, target: int | None = None) -> int:
         """Add bytes, from a multiple of four on; returns the index of their view."""
         self._blob += bytes(-len(self._blob) % 4)
         view = self._library.BufferView(buffer=0, byteOffset=len(self._blob), byteLength=len(content), target=target)
         self._blob += content
-        self._gltf.bufferViews.append(view)
-        return len(self._gltf.bufferViews) - 1
+        return _added(self._gltf.bufferViews, view)
 
     def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray, look: Look) -> int:
         """Add surface number `index` with a colour and a look; meshes of the same surface share its arrays."""
@@ -141,8 +138,7 @@ class _Assembly:
                 )
                 for attributes, corners in self._geometry[part]
             ]
-            self._gltf.meshes.append(self._library.Mesh(primitives=primitives))
-            self._meshes[key] = len(self._gltf.meshes) - 1
+            self._meshes[key] = _added(self._gltf.meshes, self._library.Mesh(primitives=primitives))
         return self._meshes[key]
 
     def _parts(self, surface: DrawnSurface, textured: bool) -> list[tuple[Any, int]]:
@@ -172,12 +168,12 @@ class _Assembly:
     def _texture(self, path: str) -> int | None:
         """Add an image; returns the index of its texture, None if it cannot be read."""
         if path not in self._textures:
-            found = embedded_image(path)
-            if found is not None:
+            self._textures[path] = None
+            if (found := embedded_image(path)) is not None:
                 content, media_type = found
-                self._gltf.images.append(self._library.Image(bufferView=self._view(content), mimeType=media_type))
-                self._gltf.textures.append(self._library.Texture(source=len(self._gltf.images) - 1))
-            self._textures[path] = None if found is None else len(self._gltf.textures) - 1
+                image = self._library.Image(bufferView=self._view(content), mimeType=media_type)
+                texture = self._library.Texture(source=_added(self._gltf.images, image))
+                self._textures[path] = _added(self._gltf.textures, texture)
         return self._textures[path]
 
     def _material(self, color: np.ndarray, look: Look, texture: int | None) -> int:
@@ -189,18 +185,16 @@ class _Assembly:
         )
         if texture is not None:
             shading.baseColorTexture = self._library.TextureInfo(index=texture)
-        self._gltf.materials.append(
-            self._library.Material(pbrMetallicRoughness=shading, doubleSided=True, alphaCutoff=None, alphaMode="OPAQUE")
-        )
-        return len(self._gltf.materials) - 1
+        options = {"doubleSided": True, "alphaCutoff": None, "alphaMode": "OPAQUE"}
+        return _added(self._gltf.materials, self._library.Material(pbrMetallicRoughness=shading, **options))
 
     def animate(self, node: int, path: str, time: int, values: int) -> None:
         """Animate the translation or rotation of a node."""
         library = self._library
-        self._animation.samplers.append(library.AnimationSampler(input=time, output=values, interpolation="LINEAR"))
+        sampler = library.AnimationSampler(input=time, output=values, interpolation="LINEAR")
+        index = _added(self._animation.samplers, sampler)
         target = library.AnimationChannelTarget(node=node, path=path)
-        sampler = len(self._animation.samplers) - 1
-        self._animation.channels.append(library.AnimationChannel(sampler=sampler, target=target))
+        self._animation.channels.append(library.AnimationChannel(sampler=index, target=target))
 
     def save(self, path: Path) -> None:
         """Write the file."""
@@ -209,3 +203,9 @@ class _Assembly:
         self._gltf.buffers[0].byteLength = len(self._blob)
         self._gltf.set_binary_blob(bytes(self._blob))
         self._gltf.save_binary(str(path))
+
+
+def _added(items: list, item: Any) -> int:
+    """Add an item to a list of the file; returns its index."""
+    items.append(item)
+    return len(items) - 1

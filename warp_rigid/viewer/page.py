@@ -298,12 +298,9 @@ def png_bytes(picture: np.ndarray) -> bytes:
 
 def add_labels(server: viser.ViserServer, film: Film) -> list:
     """The environments' labels above the ground in front of each."""
-    handles = []
-    for index, text in enumerate(film.labels):
-        if text:
-            handles.append(
-                server.scene.add_label(
-                    f"/label_{index}", text, position=tuple(film.offset[index]), anchor="top-center", depth_test=False
-                )
-            )
-    return handles
+    options = {"anchor": "top-center", "depth_test": False}
+    return [
+        server.scene.add_label(f"/label_{index}", text, position=tuple(film.offset[index]), **options)
+        for index, text in enumerate(film.labels)
+        if text
+    ]
