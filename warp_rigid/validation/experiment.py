@@ -137,8 +137,7 @@ class Trace:
     @property
     def labels(self) -> list[str]:
         """A label for each environment, including the experiment's label."""
-        names = (", ".join(filter(None, (self.experiment.label, variant))) for variant in self.experiment.variants)
-        return list(names)
+        return [", ".join(filter(None, (self.experiment.label, name))) for name in self.experiment.variants]
 
     @property
     def dynamic(self) -> np.ndarray:

@@ -11,7 +11,7 @@ from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint, SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.scenes.linkages import third_corner
+from warp_rigid.scenes.linkages import LAYER, third_corner
 from warp_rigid.validation.articulated import exact_period, pendulum, period_of
 from warp_rigid.validation.case import Cases, Check, ValidationCase, at_most, case, measured, relative
 from warp_rigid.validation.common import G
@@ -25,8 +25,6 @@ SHORT = 10.0
 """Time of the loss of energy, and of long chains [s]."""
 AXIS = (0.0, 1.0, 0.0)
 """Axis of hinges: linkages move in the plane of x and z."""
-LAYER = 0.06
-"""Distance of the planes in which bars move, so that they do not meet [m]."""
 
 
 def cases(quick: bool) -> Cases:
