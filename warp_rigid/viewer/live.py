@@ -309,17 +309,15 @@ class LiveViewer:
     def _do_wishes(self) -> bool:
         """Execute all queued requests; errors are shown on the page."""
         done = False
-        while True:
-            try:
-                action, arguments = self._wishes.get_nowait()
-            except queue.Empty:
-                return done
+        while not self._wishes.empty():
+            action, arguments = self._wishes.get()
             done = True
             try:
                 action(*arguments)
             except Exception as error:
                 self._report(error)
                 self._attempt(self._panel.refresh, self.session, int(self.rows[0]))
+        return done
 
     def _attempt(self, action: Callable, *arguments: Any) -> Any:
         """Call an action; if it raises, report the error, pause the simulation and return None.
