@@ -42,9 +42,7 @@ class DrawnBatch:
             if drawn.any():
                 if not handle.visible:
                     self._place(handle, other.batched_positions, other.batched_wxyzs)
-                scales = None if drawn.all() else drawn.astype(np.float32)
-                if not np.array_equal(handle.batched_scales, scales):
-                    handle.batched_scales = scales
+                handle.batched_scales = None if drawn.all() else drawn.astype(np.float32)
             handle.visible = bool(drawn.any())
 
     def pose(self, positions: np.ndarray, wxyzs: np.ndarray) -> None:
@@ -60,6 +58,8 @@ class DrawnBatch:
 
 class Instances:
     """The instances of a film's meshes, its endless grounds and the labels of its environments.
+
+    Values that a batch already has are not sent again: viser compares them.
 
     Args:
         server: the viser server.
@@ -103,21 +103,18 @@ class Instances:
                 batch.pose(position[batch.chosen], wxyz[batch.chosen])
 
     def color(self, colors: np.ndarray) -> None:
-        """Colour all instances, (instances, 3) uint8; batches whose colours are unchanged are not sent."""
+        """Colour all instances, (instances, 3) uint8."""
         self._colors = colors
         for batch in self._batches:
-            if not np.array_equal(batch.plain.batched_colors, colors[batch.chosen]):
-                batch.plain.batched_colors = colors[batch.chosen]
+            batch.plain.batched_colors = colors[batch.chosen]
         self._picture()
 
     def fade(self, opacity: np.ndarray) -> None:
         """Opacity of all instances, (instances,); batches that are opaque all through get none."""
         self._opacity = opacity
         for batch in self._batches:
-            wanted, before = opacity[batch.chosen].astype(np.float32), batch.plain.batched_opacities
-            if (wanted == 1.0).all() and before is None:
-                continue
-            if before is None or not np.array_equal(before, wanted):
+            wanted = opacity[batch.chosen].astype(np.float32)
+            if (wanted < 1.0).any() or batch.plain.batched_opacities is not None:
                 batch.plain.batched_opacities = wanted
         self._picture()
 
