@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from warp_rigid.runs import runner
+from warp_rigid.scene.shapes import Sphere
 from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.session import Paced, Session
 
@@ -260,3 +261,35 @@ def test_force_fields_stay_as_they_were_set_through_a_change_of_the_step(tmp_pat
     session.change("dt", 1.0 / 480.0)
     for name, value in before.items():
         np.testing.assert_array_equal(session.sim.get(name), value)
+
+
+LIFT = """
+import warp_rigid as wr
+
+def scene():
+    made = wr.Scene()
+    path = wr.PosePath((0.0, 4.0), ((0, 0, 0), (0, 0, 4.0)))
+    made.add_kinematic(wr.Box((0.5, 0.5, 0.1)), path=path, name="lift")
+    made.add_body(wr.Sphere(0.1), position=(0, 0, 0.2))
+    return made
+"""
+
+
+@pytest.mark.parametrize("change", ["dt", "spawn"])
+def test_a_body_continues_on_its_path_in_a_new_simulator(tmp_path, change):
+    path = tmp_path / "lift.py"
+    path.write_text(LIFT)
+    session = Session(str(path), num_envs=2, device="cpu")
+    session.step(round(1.0 / session.sim.settings.dt))
+    if change == "dt":
+        session.change("dt", 1.0 / 480.0)
+    else:
+        session.spawn(Sphere(0.1), np.array([(2.0, 0.0, 5.0)] * 2))
+    assert session.time == pytest.approx(1.0)
+    np.testing.assert_allclose(session.sim.get("position")[:, 0, 2], 1.0, atol=0.01)
+    session.step(round(1.0 / session.sim.settings.dt))
+    assert session.time == pytest.approx(2.0)
+    np.testing.assert_allclose(session.sim.get("position")[:, :2, 2], [[2.0, 2.2]] * 2, atol=0.01)
+    session.restart()
+    session.step(round(1.0 / session.sim.settings.dt))
+    np.testing.assert_allclose(session.sim.get("position")[:, 0, 2], 1.0, atol=0.01)

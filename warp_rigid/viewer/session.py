@@ -279,10 +279,19 @@ class Session:
                 if not np.array_equal(value, now):
                     new.set(name, list(value) if name in self._settings else value)
             elif not np.array_equal(value, now[:, : old.num_bodies]):
-                bodies = dynamic if name == "mass" else list(range(old.num_bodies))
-                new.set(name, value[:, bodies], bodies=bodies)
-        self._events = [(when - old.time, act) for when, act in self._events]
-        self._time_before += old.time
+                if name == "mass":
+                    new.set(name, value[:, dynamic], bodies=dynamic)
+                else:  # of all bodies: those on paths must not be chosen
+                    now[:, : old.num_bodies] = value
+                    new.set(name, now)
+        # Paths and waves continue at their time.
+        steps = round(old.time / settings.dt)
+        with new.in_use():
+            new.internals.shards.steps = steps
+            new.internals.envs.step.fill_(steps)
+        gone = old.time - new.time
+        self._events = [(when - gone, act) for when, act in self._events]
+        self._time_before += gone
         self.sim = new
         self._step_seconds = 0.0
 
