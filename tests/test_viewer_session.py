@@ -9,6 +9,7 @@ import pytest
 
 from warp_rigid.runs import runner
 from warp_rigid.scene.shapes import Sphere
+from warp_rigid.viewer.history import History
 from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.session import Paced, Session
 
@@ -293,3 +294,18 @@ def test_a_body_continues_on_its_path_in_a_new_simulator(tmp_path, change):
     session.restart()
     session.step(round(1.0 / session.sim.settings.dt))
     np.testing.assert_allclose(session.sim.get("position")[:, 0, 2], 1.0, atol=0.01)
+
+
+def test_a_body_on_a_path_continues_from_an_earlier_moment(tmp_path):
+    path = tmp_path / "lift.py"
+    path.write_text(LIFT)
+    session, history = Session(str(path), device="cpu"), History()
+    second = round(1.0 / session.sim.settings.dt)
+    for _ in range(2):
+        session.step(second)
+        history.add(session.time, session.sim)
+    session.show(history.moments[0])
+    assert session.time == pytest.approx(1.0)
+    session.step(second // 2)
+    assert session.time == pytest.approx(1.5)
+    np.testing.assert_allclose(session.sim.get("position")[0, :, 2], [1.5, 1.7], atol=0.01)

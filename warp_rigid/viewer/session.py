@@ -194,6 +194,7 @@ class Session:
         self.release()
         for name, value in moment.state.items():
             self.sim.set(name, value)
+        _continue_at(self.sim, max(0.0, moment.time - self._time_before))
         self._time_before = moment.time - self.sim.time
         self._owed = 0.0
 
@@ -284,11 +285,7 @@ class Session:
                 else:  # of all bodies: those on paths must not be chosen
                     now[:, : old.num_bodies] = value
                     new.set(name, now)
-        # Paths and waves continue at their time.
-        steps = round(old.time / settings.dt)
-        with new.in_use():
-            new.internals.shards.steps = steps
-            new.internals.envs.step.fill_(steps)
+        _continue_at(new, old.time)
         gone = old.time - new.time
         self._events = [(when - gone, act) for when, act in self._events]
         self._time_before += gone
@@ -320,3 +317,11 @@ class Session:
         """The pulled place of the body in the world [m]."""
         orientation = self.sim.get("orientation")[pull.env, pull.body].astype(np.float64)
         return rotate(orientation, pull.local) + self.sim.get("position")[pull.env, pull.body]
+
+
+def _continue_at(sim: Simulator, time: float) -> None:
+    """Let a simulator go on from the step nearest to a time [s], to which paths and waves belong."""
+    steps = round(time / sim.settings.dt)
+    with sim.in_use():
+        sim.internals.shards.steps = steps
+        sim.internals.envs.step.fill_(steps)
