@@ -321,7 +321,7 @@ def test_wrong_cameras_do_not_hinder_loading_a_scene(served, page):
         served.done()
         served.alive()
         rows = len(served.viewer.rows) * served.viewer.session.sim.num_bodies
-        assert len(served.viewer._dynamic) == rows and served.widget("scene").value == name
+        assert len(served.viewer._film.mesh) == rows and served.widget("scene").value == name
 
 
 @pytest.mark.parametrize(
@@ -371,7 +371,7 @@ def test_click_with_a_bad_ray_or_body_changes_nothing(served, page, index, origi
     served.viewer.session.running = False
     served.done()
     before = served.viewer.session.sim.get("linear_velocity").copy()
-    handle, _ = next(pair for pair in served.viewer._instances.handles if served.viewer._dynamic[pair[1]].any())
+    handle, _ = next(pair for pair in served.viewer._instances.handles if served.viewer._film.dynamic[pair[1]].any())
     send(
         page,
         type="SceneNodeClickMessage",

@@ -349,22 +349,19 @@ class LiveViewer:
         labels = [session.plan.labels[row] for row in self.rows]
         recorder = Recorder(session.sim, 1.0 / PERIOD, self.rows, labels, camera=session.plan.camera)
         recorder.capture(session.sim)
-        self._film: Film = film_from_recording(recorder.recording())
-        motion = np.array([body.motion for body in session.plan.scene.bodies])
-        self._plain = bytes_of_light(self._film.color)
-        self._walls = np.where(np.tile(motion == Motion.STATIC, len(self.rows)), page.opacity_of_walls(self._film), 1.0)
-        self._dynamic = np.tile(motion == Motion.DYNAMIC, len(self.rows))
+        self._film = film = film_from_recording(recorder.recording())
+        self._plain = bytes_of_light(film.color)
+        self._walls = np.where(film.motion == Motion.STATIC, page.opacity_of_walls(film), 1.0)
         with self.server.atomic():
             if self._instances is not None:
                 self._instances.remove()
-            self._instances = Instances(self.server, self._film, np.tile(motion != Motion.STATIC, len(self.rows)))
+            self._instances = Instances(self.server, film, film.motion != Motion.STATIC)
             self._instances.wire(self._options["wireframe"])
-        points = points_to_see(self._film, [0])
-        self._extent = float(np.ptp(points, axis=0).max())
+        self._extent = float(np.ptp(points_to_see(film, [0]), axis=0).max())
         for handle, chosen in self._instances.handles:
             self._listen(handle, chosen)
-        page.look_at_film(self.server, self._film)
-        moving = np.flatnonzero(motion == Motion.DYNAMIC)
+        page.look_at_film(self.server, film)
+        moving = np.flatnonzero(film.dynamic)
         self.chosen = (int(self.rows[0]), int(moving[0]) if len(moving) else 0)
         self._panel.refresh(session, int(self.rows[0]))
         self._panel.choose_body(self.chosen[1])
@@ -381,7 +378,7 @@ class LiveViewer:
             lambda event: self.ask(self._push, chosen, event.instance_index, event.ray_origin, event.ray_direction)
         )
         size = np.ptp(self._film.meshes[self._film.mesh[chosen[0]]].vertices, axis=0).max()
-        if self._dynamic[chosen].any() or size < self._extent:
+        if self._film.dynamic[chosen].any() or size < self._extent:
 
             @handle.on_drag
             async def _(event) -> None:
@@ -398,7 +395,7 @@ class LiveViewer:
         """
         sim = self.session.sim
         if index is not None:
-            if not isinstance(index, int) or not 0 <= index < len(chosen) or chosen[index] >= len(self._dynamic):
+            if not isinstance(index, int) or not 0 <= index < len(chosen) or chosen[index] >= len(self._film.mesh):
                 raise ValueError("body: the one that was clicked is not on the page")
             return divmod(int(chosen[index]), sim.num_bodies)
         shapes = [body.shape for body in self.session.plan.scene.bodies] * len(self.rows)
@@ -498,7 +495,7 @@ class LiveViewer:
             values = np.linalg.norm(sim.get("linear_velocity")[self.rows].reshape(-1, 3), axis=1)
         else:
             values = sim.get(by)[self.rows].reshape(-1)
-        return bytes_of_light(apply_coloring(by, self._film.color, self._dynamic, values))
+        return bytes_of_light(apply_coloring(by, self._film.color, self._film.dynamic, values))
 
     def _opacity(self) -> np.ndarray:
         opacity = self._walls.copy()
@@ -506,7 +503,7 @@ class LiveViewer:
             opacity[self._touching()] *= SEEN_THROUGH
         if self._options["sleepers"]:
             asleep = self.session.sim.get("asleep")[self.rows].reshape(-1)
-            opacity[asleep & self._dynamic & (self._film.image < 0)] *= 0.35
+            opacity[asleep & self._film.dynamic & (self._film.image < 0)] *= 0.35
         if self._options["slice"]:
             opacity[self._chosen_instance] = 0.15
         return opacity
@@ -518,7 +515,7 @@ class LiveViewer:
         touching = np.zeros((sim.num_envs, sim.num_bodies), bool)
         for name in ("body_a", "body_b"):
             touching[contacts["env"], contacts[name]] = True
-        return touching[self.rows].reshape(-1) & self._dynamic
+        return touching[self.rows].reshape(-1) & self._film.dynamic
 
     def _draw_rope(self) -> None:
         ends = self.session.pull_ends
