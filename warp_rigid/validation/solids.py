@@ -83,8 +83,8 @@ def wedge() -> Triangles:
 
 
 def in_portions(function, points, triangles):
-    """Apply a function of (p, 1, 3) points and (m, 3, 3) triangles to points, in portions that limit the memory."""
-    portion = max(1, 400_000 // len(triangles))
+    """Apply a function of (p, 1, 3) points and (m, 3, 3) triangles to points, in portions that fit into a cache."""
+    portion = max(1, 20_000 // len(triangles))
     parts = [points[i : i + portion, None] for i in range(0, len(points), portion)]
     return np.concatenate([function(part, triangles) for part in parts])
 

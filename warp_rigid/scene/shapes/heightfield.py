@@ -170,7 +170,7 @@ class Heightfield(Shape):
         """Distance within the rectangle, to the upper surface only."""
         vertices, faces = self._surface_at(self.heights_at(0.0))
         corners = vertices[faces]
-        portion = max(1, 200_000 // len(corners))
+        portion = max(1, 20_000 // len(corners))
         found = [_to_triangles(points[k : k + portion], corners) for k in range(0, len(points), portion)]
         arm, normal, inner = (np.concatenate(column) for column in zip(*found, strict=True))
         length = np.linalg.norm(arm, axis=1)
