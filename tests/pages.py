@@ -69,6 +69,23 @@ def notebook_tool() -> ModuleType:
     return module
 
 
+def run_notebook(path: Path) -> None:
+    """A notebook ends in a figure that can be published: units on the axes, and a legend.
+
+    A sweep runs twice in one folder: the table that the first run has written is replaced, and the result is the same.
+    """
+    notebook = json.loads(path.read_text())
+    figures = notebook_tool().run_cells(notebook)
+    (axes,) = figures[-1].axes
+    for label in (axes.get_xlabel(), axes.get_ylabel()):
+        assert re.search(r"\w \[[^\]]+\]$", label), label
+    assert axes.get_legend() is not None and len(axes.get_lines()) >= 3
+    if path.stem == "sweep":
+        (again,) = notebook_tool().run_cells(notebook)[-1].axes
+        for one, other in zip(axes.get_lines(), again.get_lines(), strict=True):
+            assert (one.get_xydata() == other.get_xydata()).all()
+
+
 def run_all() -> None:
     """Run all; the first exception or failure ends the program."""
     from warp_rigid.commands import cli
@@ -84,7 +101,7 @@ def run_all() -> None:
         exec(compile(program, "program.py", "exec"), {"__name__": "__main__"})
     for path in NOTEBOOKS:
         print(path.name, flush=True)
-        notebook_tool().run_cells(json.loads(path.read_text()))
+        run_notebook(path)
 
 
 if __name__ == "__main__":
