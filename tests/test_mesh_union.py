@@ -34,7 +34,8 @@ def random_parts(seed):
     generator = np.random.default_rng(seed)
     parts = []
     for _ in range(5):
-        part = box(generator.uniform(0.2, 1, 3)) if generator.random() < 0.5 else ball(generator.uniform(0.2, 0.5))
+        size = generator.uniform(0.2, 1, 3) if generator.random() < 0.5 else generator.uniform(0.2, 0.5)
+        part = box(size) if np.ndim(size) else trimesh.creation.icosphere(subdivisions=2, radius=size)
         part.apply_transform(random_rotation_matrix(generator.random(3)))
         part.apply_translation(generator.uniform(-0.4, 0.4, 3))
         parts.append(part)
