@@ -13,6 +13,8 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Heightfield, Mesh, Sphere
 
 RADIUS, SPEED, TIME = 0.05, 1.5, 1.5
+SIDE = 2.4
+"""Of the floors of triangles [m]: the bodies roll from 1.13 m before the middle to 1.12 m behind it."""
 LYING = rotate_about((1, 0, 0), 90)
 ROLLERS = {
     "ball": (Sphere(RADIUS), (0, 0, 0, 1)),
@@ -22,14 +24,14 @@ ROLLERS = {
 
 
 def field(cell):
-    count = round(4 / cell) + 1
-    return [(Heightfield(np.zeros((count, count)), (4, 4)), (0, 0, 0))]
+    count = round(SIDE / cell) + 1
+    return [(Heightfield(np.zeros((count, count)), (SIDE, SIDE)), (0, 0, 0))]
 
 
 @cache
 def mesh(cell):
     """A slab with the same triangles on its top."""
-    axis = np.linspace(-2, 2, round(4 / cell) + 1)
+    axis = np.linspace(-SIDE / 2, SIDE / 2, round(SIDE / cell) + 1)
     count = len(axis)
     x, y = np.meshgrid(axis, axis, indexing="ij")
     top = np.arange(count * count).reshape(count, count)
