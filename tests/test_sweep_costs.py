@@ -90,19 +90,30 @@ wr.sweep(
 """
 
 
+COUNT = 640
+"""Rows, reduced from 100 000; each has 241 samples of 4 series."""
+
+
+def start(output, series="", pause=0.0):
+    """A process that runs the sweep, or goes on with it."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    command = [sys.executable, "-c", PROGRAM, str(output), str(COUNT), str(series), str(pause)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The table of a sweep that is not interrupted."""
+    table = tmp_path_factory.mktemp("whole") / "whole.parquet"
+    start(table).communicate()
+    return table
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("form", ["parquet", "zarr"])
-def test_series_are_streamed_in_constant_memory_and_survive_kills(tmp_path, form):
-    """Reduced from 100 000 rows to 640, each with 241 samples of 4 series."""
-    table, count = tmp_path / "t.parquet", 640
+def test_series_are_streamed_in_constant_memory_and_survive_kills(tmp_path, form, whole):
+    table = tmp_path / "t.parquet"
     folder = tmp_path / "s.zarr" if form == "zarr" else table.with_suffix(".series")
-    (tmp_path / "many.py").write_text(PROGRAM)
-
-    def start(output, series, pause=0.0):
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-        command = [sys.executable, str(tmp_path / "many.py"), str(output), str(count), str(series), str(pause)]
-        return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-
     given = folder if form == "zarr" else ""
     for batches in (2, 3):
         process = start(table, given, pause=0.5)  # so that it has not ended when the table has rows
@@ -119,10 +130,8 @@ def test_series_are_streamed_in_constant_memory_and_survive_kills(tmp_path, form
     lines = start(table, given).communicate()[0].splitlines()
     memory = [int(line.split()[1]) for line in lines]
     assert max(memory[2:]) < memory[1] + 20e6
-    whole = tmp_path / "whole.parquet"
-    start(whole, "").communicate()
     assert [row["drift"] for row in read(table).rows] == [row["drift"] for row in read(whole).rows]
     found, expected = read_series(folder), read_series(whole.with_suffix(".series"))
-    assert found.num_rows == 241 * count
+    assert found.num_rows == 241 * COUNT
     for name in expected.column_names:
         np.testing.assert_array_equal(found[name].to_numpy(), expected[name].to_numpy())
