@@ -74,7 +74,7 @@ class MetricRecorder:
         return np.where(self.dynamic, moved, 0.0).max(axis=1)
 
     def settle_time(self) -> np.ndarray:
-        """Time of the first sample from which on no dynamic body is faster than AT_REST [s]; NaN if one is at the end."""
+        """Time of the first sample from which on no dynamic body is faster than AT_REST [s]; NaN if one still is."""
         return self.slow_from
 
     def kinetic_energy(self) -> np.ndarray:
