@@ -30,12 +30,12 @@ def add_plank(scene, x, friction):
 
 @pytest.mark.parametrize("shape", [Cylinder(0.2, 0.2), Sphere(0.2)], ids=["cylinder", "sphere"])
 @pytest.mark.parametrize(("spin", "speed", "dt"), [(30, 0.3, 1 / 240), (100, 2.0, 1 / 240), (5, 0.5, 1 / 60)])
-def test_a_ball_bounces_off_a_spinning_body_as_off_one_at_rest(shape, spin, speed, dt):
+def test_a_ball_bounces_off_a_spinning_body_as_off_one_at_rest(shape, spin, speed, dt, device):
     """Without friction, it leaves with e times its speed; such balls lost half of it, or flew through the body."""
     scene = Scene(gravity=(0, 0, 0))
     scene.add_kinematic(shape, angular_velocity=(0, 0, spin), friction=0.0, restitution=0.8)
     scene.add_body(Sphere(0.05), position=(0.27, 0, 0), linear_velocity=(-speed, 0, 0), friction=0.0, restitution=0.8)
-    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    sim = Simulator(scene, settings=Settings(dt=dt), device=device)
     sim.step(round((0.02 / speed + 0.1) / dt))
     np.testing.assert_allclose(sim.get("linear_velocity")[0, 1], (0.8 * speed, 0, 0), atol=1e-4 * speed)
 
@@ -50,12 +50,12 @@ def test_a_ball_bounces_off_a_spinning_body_as_off_one_at_rest(shape, spin, spee
         (20, 1 / 240, Capsule(RADIUS, 0.3)),
     ],
 )
-def test_a_plank_without_friction_lies_still_on_rollers_that_spin(spin, dt, roller):
+def test_a_plank_without_friction_lies_still_on_rollers_that_spin(spin, dt, roller, device):
     """They turn in opposite directions. It was thrown up, or fell through; its ends come up by 0.04 mm."""
     scene = Scene()
     add_rollers(scene, (-0.3, 0.3), (spin, -spin), 0.0, roller)
     add_plank(scene, 0.0, 0.0)
-    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    sim = Simulator(scene, settings=Settings(dt=dt), device=device)
     heights = []
     for _ in range(round(1 / dt)):
         sim.step(1)
@@ -63,14 +63,14 @@ def test_a_plank_without_friction_lies_still_on_rollers_that_spin(spin, dt, roll
     assert np.abs(np.array(heights) - 0.5 * THICKNESS).max() < 1e-4
 
 
-def test_rollers_convey_a_plank_at_the_speed_of_their_surface():
+def test_rollers_convey_a_plank_at_the_speed_of_their_surface(device):
     """It starts with the acceleration of sliding friction, and stays down."""
     friction, speed, dt = 0.5, 2.0, 1 / 240
     scene = Scene()
     places = np.arange(-2.5, 2.6, 0.25)
     add_rollers(scene, places, np.full(len(places), speed / RADIUS), friction)
     add_plank(scene, -1.9, friction)
-    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    sim = Simulator(scene, settings=Settings(dt=dt), device=device)
     sim.step(60)
     assert abs(sim.get("linear_velocity")[0, -1, 0] - 9.81 * friction * 60 * dt) < 0.01
     sim.step(180)
