@@ -17,7 +17,7 @@ from warp_rigid.kernels.collide.convex import (
 from warp_rigid.kernels.collide.distance import BORDER, FAR
 from warp_rigid.kernels.common.team import sync_warp
 from warp_rigid.kernels.schema import Bodies, History, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.tuning import ALONG_AXIS, DEEP_OVERLAP, DOUBTFUL, TRUSTED
+from warp_rigid.kernels.tuning import ALONG_AXIS, CONTACT_DISTANCE, DEEP_OVERLAP, DOUBTFUL, TRUSTED
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -90,8 +90,8 @@ def check_by_axis(
     drop_untrusted(pair, axis, -gap, lane, lanes, pairs)
     sync_warp(lanes)
     deepest = deepest_gap(pair, pairs)
-    shallow = gap > -DOUBTFUL * size and deepest < DOUBTFUL * size
-    return wp.where(shallow or deepest * TRUSTED < gap, 0, 1)
+    near = CONTACT_DISTANCE * size
+    return wp.where((deepest < near and gap > -near) or deepest * TRUSTED < gap, 0, 1)
 
 
 @wp.func

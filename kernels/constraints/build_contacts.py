@@ -181,7 +181,17 @@ def point_apart(touch: Touch, a: int, b: int, size: float, bodies: Bodies):
 
 
 @wp.func
-def build_row(a: int, b: int, touch: Touch, dt: float, size: float, bodies: Bodies, motions: Motions):
+def build_row(
+    a: int,
+    b: int,
+    touch: Touch,
+    dt: float,
+    size: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+):
     """A contact row with its geometry and effective masses."""
     row = ContactRecord()
     row.normal = touch.normal
@@ -191,7 +201,7 @@ def build_row(a: int, b: int, touch: Touch, dt: float, size: float, bodies: Bodi
     row.arm_b = touch.position - apart - motions.center[b]
     row.gap = touch.gap
     row.bias_velocity = bias_velocity_of(touch.gap, size, dt)
-    row.surface = carrier_velocity(a, b, row.normal, dt, motions)
+    row.surface = carrier_velocity(a, b, row.normal, dt, shapes, bodies, state, motions)
     return with_masses(row, a, b, bodies, motions)
 
 
@@ -235,7 +245,7 @@ def build_contacts(
                 contacts.key[c] = GONE
             contacts.pair[c] = pair
             contacts.position[c] = touch.position
-            row = build_row(a, b, touch, dt, size, bodies, motions)
+            row = build_row(a, b, touch, dt, size, shapes, bodies, state, motions)
             write_contact(c, with_coefficients(row, a, b, rules, bodies), contacts.rows)
             start_from_history(c, pairs.last[pair], row, envs.warm_starting[env], contacts, history)
     finish(own, sharing)

@@ -18,11 +18,11 @@ from warp_rigid.kernels.common.solver_body import (
     with_angular_impulse,
     with_impulse,
 )
-from warp_rigid.kernels.common.symmetry import chord_velocity
+from warp_rigid.kernels.common.symmetry import chord_velocity, spin_of_surface
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
 from warp_rigid.kernels.enums import Role
-from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord, Motions
+from warp_rigid.kernels.schema import Bodies, ContactRecord, Contacts, ImpulseRecord, Motions, Shapes, State
 from warp_rigid.kernels.tuning import CARRIED
 
 wp.set_module_options({"enable_backward": False})
@@ -73,30 +73,46 @@ def contact_velocity(row: ContactRecord, pair: BodyPair):
 
 
 @wp.func
-def chord_of_carried(carrier: int, b: int, dt: float, motions: Motions):
+def chord_of_carried(
+    carrier: int,
+    b: int,
+    normal: wp.vec3,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+):
     """Velocity of the centre of a body along the chord on which a carrier turns it, less that of the tangent [m/s].
 
-    A body that does not turn with its carrier, such as a plank on rollers, is not carried around.
+    A round carrier that spins about its axis moves its material, but not its surface, so that the chord counts in the
+    plane of the contact only, and only for a body that turns with the carrier: a box on a turntable, not a plank on
+    rollers.
     """
+    away = motions.center[b] - motions.center[carrier]
     spin = motions.solver_bodies[carrier].angular
+    of_surface = chord_velocity(spin_of_surface(carrier, spin, shapes, bodies, state), away, dt)
+    of_material = chord_velocity(spin, away, dt) - of_surface
     turning = wp.dot(motions.solver_bodies[b].angular, spin) / wp.max(wp.length_sq(spin), 1.0e-30)
-    return wp.clamp(turning / CARRIED, 0.0, 1.0) * chord_velocity(spin, motions.center[b] - motions.center[carrier], dt)
+    share = wp.clamp(turning / CARRIED, 0.0, 1.0)
+    return of_surface + share * (of_material - wp.dot(of_material, normal) * normal)
 
 
 @wp.func
-def carrier_velocity(a: int, b: int, normal: wp.vec3, dt: float, motions: Motions):
+def carrier_velocity(
+    a: int, b: int, normal: wp.vec3, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions
+):
     """Mean velocity in a step of the first body's frame relative to the second's, beyond that of their tangents [m/s].
 
     A point of a kinematic body that turns moves along a chord. A body that it carries turns with it, so that the chord
-    of its centre counts, in the plane of the contact. Along the normal it does not: a wheel does not retreat from what
-    it touches.
+    of its centre counts.
     """
     result = wp.vec3(0.0, 0.0, 0.0)
     if motions.role[a] == Role.KINEMATIC:
-        result += chord_of_carried(a, b, dt, motions)
+        result += chord_of_carried(a, b, normal, dt, shapes, bodies, state, motions)
     if motions.role[b] == Role.KINEMATIC:
-        result -= chord_of_carried(b, a, dt, motions)
-    return result - wp.dot(result, normal) * normal
+        result -= chord_of_carried(b, a, normal, dt, shapes, bodies, state, motions)
+    return result
 
 
 @wp.func

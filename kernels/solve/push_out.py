@@ -19,10 +19,12 @@ from warp_rigid.kernels.common.solver_body import (
     with_impulse,
     with_velocities,
 )
+from warp_rigid.kernels.common.surfaces import tangential_running
 from warp_rigid.kernels.common.symmetry import turn_of_surface
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
+    carrier_velocity,
     contact_velocity,
     read_contact,
     read_impulse,
@@ -96,8 +98,10 @@ def wanted_speed(
     row = read_contact(c, contacts.rows)
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
-    # The rotation of the arms accounts for chords, and a surface that runs along itself closes no gap.
-    row.surface = wp.dot(row.surface, row.normal) * row.normal
+    # The rotation of the arms accounts for the chords, and a surface that runs along itself closes no gap.
+    row.surface -= carrier_velocity(a, b, row.normal, dt, shapes, bodies, state, motions)
+    if wp.length_sq(row.surface) > 0.0:
+        row.surface -= tangential_running(a, b, contacts.position[c], row.normal, bodies, state)
     size = smaller_size(a, b, shapes, bodies)
     pair = load_bodies(a, b, 0.0, 0.0, motions)
     turn_a = turn_of_surface(a, pair.angular_a, dt, shapes, bodies, state)

@@ -116,6 +116,6 @@ def set_surface_velocity(
     v = ground_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)
     v -= ground_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
     v += tangential_running(a, b, x, contacts.rows[c].normal, bodies, state)
-    contacts.rows[c].surface = carrier_velocity(a, b, contacts.rows[c].normal, dt, motions) + v
+    contacts.rows[c].surface = v + carrier_velocity(a, b, contacts.rows[c].normal, dt, shapes, bodies, state, motions)
     if wp.length_sq(v) > 0.0:
         contacts.rows[c].more = 1.0
