@@ -46,7 +46,7 @@ def mesh(cell):
 
 
 def tiles(cell):
-    return [(Box((cell / 2, 2, 0.05)), (cell * (k + 0.5) - 2, 0, -0.05)) for k in range(round(4 / cell))]
+    return [(Box((cell / 2, 1.2, 0.05)), (cell * (k + 0.5) - 1.2, 0, -0.05)) for k in range(round(2.4 / cell))]
 
 
 FLOORS = {"field": field, "mesh": mesh, "tiles": tiles}

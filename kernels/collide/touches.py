@@ -249,15 +249,13 @@ def passes_by(
     way = way_of(s, placed, approach, own, other, dt, shapes, state)
     gap = placed.distance
     fall = -wp.dot(way.step, placed.direction)
-    steps = float(1.0)
-    if fall >= SLOW_APPROACH * allowed:
-        steps = wp.clamp((gap + CLEARLY * allowed) / fall, 1.0, FURTHEST_PATH)
-        if gap - steps * fall > -allowed:
+    steps = wp.clamp((gap + CLEARLY * allowed) / wp.max(fall, SLOW_APPROACH * allowed), 1.0, FURTHEST_PATH)
+    if gap - steps * fall > -allowed:
+        # The surface does not arrive. The material does, where it runs along the surface.
+        closing = dt * closing_speed(own, other, way.arm, way.start, placed.direction, 0.0)
+        if material_fall < SLOW_APPROACH * allowed + closing:
             return False
-    elif material_fall < SLOW_APPROACH * allowed + dt * closing_speed(
-        own, other, way.arm, way.start, placed.direction, 0.0
-    ):
-        return False
+        steps = 1.0
     near = way.radius + steps * wp.length(way.step)
     return all_stay_outside(wp.where(is_edge, 1, 0), way, placed, own, other, dt, steps, allowed, near, shapes)
 
