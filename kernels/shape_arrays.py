@@ -31,7 +31,10 @@ TreeRecord = packed_record(
     skip=Field(int, "", "", "node that follows its subtree"),
     upper=Field(wp.vec3, "", "m", "upper corner of the box"),
     leaf=Field(
-        int, "", "", "MOST_OF_LEAF times the first triangle of a leaf, plus their number; that is 0 for other nodes"
+        int,
+        "",
+        "",
+        "MOST_OF_LEAF times the first triangle of a leaf, plus their number, which is 0 for other nodes",
     ),
 )
 

@@ -8,10 +8,10 @@ from tests.geometry_oracles import exact_distance
 from tests.oracles import random_quaternion
 from warp_rigid.engine.layout import layout_of
 from warp_rigid.engine.model import build_model
-from warp_rigid.kernels.collide import distance
+from warp_rigid.kernels.collide import deepest_point, distance
 from warp_rigid.kernels.schema import Shapes
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Plane, Sphere
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Sphere
 from warp_rigid.scene.shapes.distance_grid import interpolate
 from warp_rigid.scenes.builders import meshes
 
@@ -33,6 +33,20 @@ def evaluate(
 
 
 @wp.kernel
+def evaluate_true(
+    shapes: Shapes,
+    shape: int,
+    near: float,
+    points: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    found: wp.array[wp.vec4],
+):
+    """One thread a point: the distance with which overlaps are measured."""
+    i = wp.tid()
+    found[i] = deepest_point.true_distance(shapes, shape, points[i], near)
+
+
+@wp.kernel
 def evaluate_bound(shapes: Shapes, shape: int, points: wp.array[wp.vec3], bounds: wp.array[float]):
     """One thread a point: the lower bound of the distance by the grid of a mesh."""
     i = wp.tid()
@@ -40,7 +54,7 @@ def evaluate_bound(shapes: Shapes, shape: int, points: wp.array[wp.vec3], bounds
     bounds[i] = bound
 
 
-def measure(shape, points, device, normals=None, near=1e10):
+def measure(shape, points, device, normals=None, near=1e10, kernel=evaluate):
     """Distances (n,) and directions (n, 3) by the kernels; without normals the plain signed distance.
 
     Those to meshes are exact below `near`, but for points more than a cell inside.
@@ -54,7 +68,7 @@ def measure(shape, points, device, normals=None, near=1e10):
     plain = np.zeros((len(points), 3))
     normals = wp.array(np.asarray(plain if normals is None else normals, np.float32), dtype=wp.vec3, device=device)
     found = wp.zeros(len(points), dtype=wp.vec4, device=device)
-    wp.launch(evaluate, len(points), inputs=[model.shapes, 1, near, points, normals], outputs=[found], device=device)
+    wp.launch(kernel, len(points), inputs=[model.shapes, 1, near, points, normals], outputs=[found], device=device)
     found = found.numpy().astype(np.float64)
     return found[:, 3], found[:, :3]
 
@@ -311,6 +325,22 @@ def test_distances_to_a_mesh_are_exact_below_the_one_that_is_asked_for(near, dev
     np.testing.assert_array_equal(found[asked], exact[asked])
     np.testing.assert_array_equal(found_direction[asked], direction[asked])
     assert (found[exact >= near] >= near).all()
+    true = measure(mesh, points, device, near=near, kernel=evaluate_true)[0]
+    np.testing.assert_allclose(true[asked], exact[asked], atol=1e-6)
+    assert (true[exact >= near] >= near - 1e-6).all()
+
+
+def test_points_above_the_border_of_a_face_of_a_mesh_are_found(device):
+    """Those up to 0.25 % of the smallest extent beyond it are as near as its plane, also below small distances."""
+    cube, near = Mesh(*Box((0.1, 0.1, 0.1)).surface()), 1e-4
+    generator = np.random.default_rng(0)
+    points = np.stack([0.1 + generator.uniform(0, 4.9e-4, 5000), *generator.uniform(-0.09, 0.09, (2, 5000))], axis=1)
+    points[:, 2] = 0.1 + generator.uniform(-0.9e-4, 0.9e-4, 5000)
+    down = np.tile((0.0, 0.0, -1.0), (5000, 1))
+    exact, _ = measure(cube, points, device, down)
+    found, _ = measure(cube, points, device, down, near=near)
+    assert (np.abs(exact) < near).mean() > 0.5
+    np.testing.assert_array_equal(found[exact < near], exact[exact < near])
 
 
 def scene_of(shape):

@@ -76,3 +76,24 @@ def test_rollers_convey_a_plank_at_the_speed_of_their_surface(device):
     sim.step(180)
     np.testing.assert_allclose(sim.get("linear_velocity")[0, -1], (speed, 0, 0), atol=0.01)
     assert abs(sim.get("position")[0, -1, 2] - 0.5 * THICKNESS) < 1e-4
+
+
+@pytest.mark.parametrize("shape", [Capsule(0.01, 1.0), Cylinder(0.01, 1.0)], ids=["capsule", "cylinder"])
+def test_a_rod_that_tumbles_and_spins_hits_all_balls_in_its_way(shape, device):
+    """Its end moves by 83 mm a step, on a cone; it overlaps the balls of 10 mm by up to 1.2 mm."""
+    num_envs, dt, angular = 64, 1 / 240, np.array([0.0, 20.0, 300.0])
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_kinematic(shape, angular_velocity=angular, friction=0.0, restitution=0.0)
+    scene.add_body(Sphere(0.01), friction=0.0, restitution=0.0)
+    sim = Simulator(scene, num_envs, Settings(dt=dt), device=device)
+    generator = np.random.default_rng(0)
+    turns = Rotation.from_rotvec(generator.uniform(0.5, 3.9, (num_envs, 1)) * dt * angular)
+    places = turns.apply((0, 0, 1)) * generator.uniform(0.7, 0.95, (num_envs, 1))
+    sim.set("position", places[:, None], bodies=[1])
+    deepest = np.zeros(num_envs)
+    for _ in range(6):
+        sim.step(1)
+        deepest = np.maximum(deepest, sim.penetration())
+    met = np.linalg.norm(places[:, :2], axis=1) > 0.021
+    assert met.sum() > 50 and (np.linalg.norm(sim.get("linear_velocity")[met, 1], axis=-1) > 0.1).all()
+    assert deepest[met].max() < 2.5e-3

@@ -67,7 +67,7 @@ def check_by_axis(
     """Compare the samples of two convex solids with their overlap, and drop those that contradict it.
 
     Returns 1 if a contact along the axis of least overlap is needed. It is not where a sample touches and the overlap
-    is shallow: its point would be any point of an area in which the solids overlap alike.
+    is shallow: its point would be any point of the face on which they lie.
     """
     solids = solids_of(pairs.body_a[pair], pairs.body_b[pair], size, shapes, bodies, state)
     axis = pairs.axis[pair]

@@ -21,6 +21,10 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 TURNING_ARM = wp.constant(0.5)
 """A rotation counts as the velocity at this fraction of the radius, which is close to the radius of gyration."""
 
+SPIN_ABOUT_AXIS = wp.constant(1.0e-6)
+"""A body spins about its axis of symmetry if the square of the rest of its spin is below this fraction of that of the
+spin. Rounding errors are far below. If the axis turned, too, the surface would not turn as by the rest alone."""
+
 STRAIGHT = wp.constant(1.0e-3)
 """Angle up to which the motion of a point with a rotating body counts as straight [rad]."""
 
@@ -88,7 +92,7 @@ def placed_course(b: int, bodies: Bodies, state: State, motions: Motions):
 def course_of(b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
     """The mean motion of a body in the step, after the impacts of the previous rounds.
 
-    That of a kinematic body is the motion of its surface.
+    A kinematic body that spins about its axis of symmetry does not turn, as its surface stays in place.
     """
     course = placed_course(b, bodies, state, motions)
     course.linear = motions.course[b]
@@ -96,7 +100,9 @@ def course_of(b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Mot
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
         course.angular = motions.time_of_impact[b] * motions.solver_bodies[b].angular + motions.shared_spin[b]
     if motions.role[b] == Role.KINEMATIC:
-        course.angular = spin_of_surface(b, course.angular, shapes, bodies, state)
+        turning = spin_of_surface(b, course.angular, shapes, bodies, state)
+        if wp.length_sq(turning) < SPIN_ABOUT_AXIS * wp.length_sq(course.angular):
+            course.angular = turning
     return course
 
 

@@ -121,6 +121,7 @@ def true_mesh_distance(shapes: Shapes, part: int, p: wp.vec3, near: float):
     A mesh with a fault (`Mesh.fault`) has the distance of its grid everywhere.
     """
     d, bound = grid_distance(shapes, part, p)
+    d[3] = wp.max(d[3], bound)
     cell = shapes.parts[part].grid_spacing
     if bound >= near or shapes.parts[part].tree_start == shapes.parts[part].tree_end:
         return d

@@ -22,6 +22,7 @@ from warp_rigid.kernels.collide.triangle_distance import (
     GRID_ERROR,
     INNER,
     LIKELY_ERROR,
+    border_width,
     chosen_place,
     triangle_distance,
 )
@@ -188,7 +189,7 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     """Trilinear interpolation in a part's grid with its gradient, and a lower bound of the distance.
 
     A distance changes by at most the displacement, so it is at least that of any node less the length to the node. The
-    node of the cell towards which the distance grows gives a bound that is seldom more than half a cell below.
+    node of the cell towards which the distance grows gives a bound that is a quarter of a cell below, in the mean.
 
     Outside the grid, let c be the grid's nearest point, d the distance at c and a the length to c. As the grid's box is
     convex, every surface point is at least sqrt(d^2 + a^2) away. The distance there is such a bound, too.
@@ -249,7 +250,8 @@ def mesh_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3,
     if d[3] < -cell or shapes.parts[part].tree_start == shapes.parts[part].tree_end:
         return d
     clear = near + 0.01 * cell
-    if bound >= clear:
+    beside = wp.where(wp.length_sq(sample_normal) > 0.0, border_width(shapes, part), 0.0)
+    if bound >= wp.max(clear, beside):
         d[3] = wp.max(d[3], clear)
         return d
     error = GRID_ERROR * cell
@@ -278,9 +280,13 @@ def has_places(shapes: Shapes, shape: int):
 
 @wp.func
 def is_near_grid(shapes: Shapes, shape: int, p: wp.vec3, margin: float):
-    """Whether a mesh with exact distances may be nearer to a point than a margin, by its grid; never wrongly false."""
-    _d, bound = grid_distance(shapes, shapes.shapes[shape].part_start, p)
-    return bound < margin
+    """Whether a mesh with exact distances may be nearer to a point than a margin, by its grid; never wrongly false.
+
+    A point above the border of a face (`border_width`) is as near as the plane of the face.
+    """
+    part = shapes.shapes[shape].part_start
+    _d, bound = grid_distance(shapes, part, p)
+    return bound < margin + border_width(shapes, part)
 
 
 @wp.func

@@ -113,7 +113,7 @@ def next_leaf(node: int, end: int, p: wp.vec3, squared: float, shapes: Shapes):
     """The next leaf of a tree within a squared distance of a point, from a node on, and the node that follows it.
 
     It has no triangles if there is none. The lanes of a GPU look for their leaves together, then they test triangles
-    together: to test those of one lane while others look for a leaf takes three times as long.
+    together: the test is much longer, and would otherwise be executed for one lane after another.
     """
     leaf = int(0)
     while node < end and leaf % MOST_OF_LEAF == 0:

@@ -98,7 +98,8 @@ def wanted_speed(
     row = read_contact(c, contacts.rows)
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
-    # The rotation of the arms accounts for the chords, and a surface that runs along itself closes no gap.
+    # The rotation of the arms accounts for the chords, and a surface that runs along itself closes no gap. What the
+    # solver has changed of the chord of a carried body lies in the plane of the contact.
     row.surface -= carrier_velocity(a, b, row.normal, dt, shapes, bodies, state, motions)
     if wp.length_sq(row.surface) > 0.0:
         row.surface -= tangential_running(a, b, contacts.position[c], row.normal, bodies, state)

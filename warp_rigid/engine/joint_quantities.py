@@ -10,7 +10,7 @@ from warp_rigid.engine.joints import NAME
 from warp_rigid.engine.layout import concatenated, spread_rows
 from warp_rigid.engine.selection import existing
 from warp_rigid.engine.world import World
-from warp_rigid.kernels.enums import Coordinate, JointNumber
+from warp_rigid.kernels.enums import Coordinate, JointNumber, Motion
 
 NUMBERS = {f"joint_{number.name.lower()}": number for number in JointNumber}
 WRITABLE = (*NUMBERS, "joint_broken")
@@ -20,6 +20,9 @@ READABLE = (*DERIVED, *WRITABLE)
 INFINITE = ("joint_lower", "joint_upper", "joint_max_force", "joint_break_force", "joint_break_torque")
 NEGATIVE = ("joint_lower", "joint_upper", "joint_target_position", "joint_target_velocity")
 """Names whose values may be infinite, and negative."""
+
+SAME_ORIENTATION = 1.0 - 1e-6
+"""Two orientations whose quaternions have a larger scalar product differ by rounding errors."""
 
 
 def read(world: World, name: str) -> np.ndarray:
@@ -96,11 +99,17 @@ def _array(world: World, name: str) -> np.ndarray:
     return getattr(world.model.joints, name).numpy()[: world.layout.sizes[NAME]].copy()
 
 
-def forget_turns(world: World, rows: np.ndarray) -> None:
-    """Let the angles of joints of some bodies (n, m) count from less than half a turn: their orientations are set."""
+def forget_turns(world: World, orientation: np.ndarray, rows: np.ndarray) -> None:
+    """Let angles of joints count anew where dynamic bodies (n, m) are set to other orientations (n, m, 4)."""
+    if not world.layout.sizes[NAME]:
+        return
+    present = existing(rows)
+    cosine = (world.state.orientation.numpy()[rows[present]] * orientation[present]).sum(axis=-1)
+    dynamic = world.model.bodies.motion.numpy()[rows[present]] == Motion.DYNAMIC
+    changed = rows[present][dynamic & (np.abs(cosine) < SAME_ORIENTATION)]
     joints = world.model.joints
     near = joints.position.numpy()
-    near[np.isin(joints.body_a.numpy(), rows) | np.isin(joints.body_b.numpy(), rows)] = 0.0
+    near[np.isin(joints.body_a.numpy(), changed) | np.isin(joints.body_b.numpy(), changed)] = 0.0
     joints.position.assign(near)
 
 

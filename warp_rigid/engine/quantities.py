@@ -304,11 +304,11 @@ def checked_rows(world: World, name: str, value: Any, rows: np.ndarray) -> np.nd
 
 def store_rows(world: World, name: str, values: np.ndarray, rows: np.ndarray) -> None:
     """Store checked values of bodies by their rows (n, m)."""
+    if name == "orientation":
+        joint_quantities.forget_turns(world, values, rows)
     assign_rows(_array_of(world, name), values, rows)
     if name in REMAINDER_OF:
         assign_rows(getattr(world.state, REMAINDER_OF[name]), 0.0, rows)
-    if name == "orientation":
-        joint_quantities.forget_turns(world, rows)
 
 
 def _array_of(world: World, name: str) -> wp.array:
