@@ -23,27 +23,17 @@ def evaluate(
     shapes: Shapes,
     shape: int,
     near: float,
+    for_overlap: int,
     points: wp.array[wp.vec3],
     normals: wp.array[wp.vec3],
     found: wp.array[wp.vec4],
 ):
-    """One thread a point: the distance and its gradient."""
+    """One thread a point: the distance and its gradient; with `for_overlap`, those with which overlaps are measured."""
     i = wp.tid()
-    found[i] = distance.contact_distance(shapes, shape, points[i], normals[i], near)
-
-
-@wp.kernel
-def evaluate_true(
-    shapes: Shapes,
-    shape: int,
-    near: float,
-    points: wp.array[wp.vec3],
-    normals: wp.array[wp.vec3],
-    found: wp.array[wp.vec4],
-):
-    """One thread a point: the distance with which overlaps are measured."""
-    i = wp.tid()
-    found[i] = deepest_point.true_distance(shapes, shape, points[i], near)
+    if for_overlap == 1:
+        found[i] = deepest_point.true_distance(shapes, shape, points[i], near)
+    else:
+        found[i] = distance.contact_distance(shapes, shape, points[i], normals[i], near)
 
 
 @wp.kernel
@@ -54,7 +44,7 @@ def evaluate_bound(shapes: Shapes, shape: int, points: wp.array[wp.vec3], bounds
     bounds[i] = bound
 
 
-def measure(shape, points, device, normals=None, near=1e10, kernel=evaluate):
+def measure(shape, points, device, normals=None, near=1e10, for_overlap=False):
     """Distances (n,) and directions (n, 3) by the kernels; without normals the plain signed distance.
 
     Those to meshes are exact below `near`, but for points more than a cell inside.
@@ -68,7 +58,8 @@ def measure(shape, points, device, normals=None, near=1e10, kernel=evaluate):
     plain = np.zeros((len(points), 3))
     normals = wp.array(np.asarray(plain if normals is None else normals, np.float32), dtype=wp.vec3, device=device)
     found = wp.zeros(len(points), dtype=wp.vec4, device=device)
-    wp.launch(kernel, len(points), inputs=[model.shapes, 1, near, points, normals], outputs=[found], device=device)
+    inputs = [model.shapes, 1, near, int(for_overlap), points, normals]
+    wp.launch(evaluate, len(points), inputs=inputs, outputs=[found], device=device)
     found = found.numpy().astype(np.float64)
     return found[:, 3], found[:, :3]
 
@@ -325,7 +316,7 @@ def test_distances_to_a_mesh_are_exact_below_the_one_that_is_asked_for(near, dev
     np.testing.assert_array_equal(found[asked], exact[asked])
     np.testing.assert_array_equal(found_direction[asked], direction[asked])
     assert (found[exact >= near] >= near).all()
-    true = measure(mesh, points, device, near=near, kernel=evaluate_true)[0]
+    true = measure(mesh, points, device, near=near, for_overlap=True)[0]
     np.testing.assert_allclose(true[asked], exact[asked], atol=1e-6)
     assert (true[exact >= near] >= near - 1e-6).all()
 
