@@ -17,6 +17,7 @@ The sign is that of the angle-weighted pseudonormal of the nearest face, side or
 
 import warp as wp
 
+from warp_rigid.kernels.common.branching import keep_branch
 from warp_rigid.kernels.schema import BALL_PLACES, Shapes, TriangleRecord
 from warp_rigid.kernels.shape_arrays import MOST_OF_LEAF, read_node, read_triangle
 
@@ -119,6 +120,7 @@ def next_leaf(node: int, end: int, p: wp.vec3, squared: float, shapes: Shapes):
     while node < end and leaf % MOST_OF_LEAF == 0:
         box = read_node(node, shapes.tree)
         if box_gap_squared(p, box.lower, box.upper) >= squared:
+            keep_branch()
             node = box.skip
         else:
             leaf = box.leaf
