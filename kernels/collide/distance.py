@@ -326,7 +326,7 @@ def ball_distance_to_places(
 
 
 @wp.func(inline=False)
-def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
+def part_distance(shapes: wp.ref[Shapes], part: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
     """Distance to one part, in the part's own frame."""
     inline_on_gpu()
     kind = shapes.parts[part].kind

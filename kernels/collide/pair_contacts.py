@@ -273,7 +273,7 @@ def part(
     return wp.where(deepest >= 0, 1, 0)
 
 
-@wp.func
+@wp.func(inline=True)
 def choose(
     pair: int,
     lane: int,

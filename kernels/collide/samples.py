@@ -206,7 +206,7 @@ def begin_search(sample: SampleRecord, approach: Approach, weight: float, shapes
 
 
 @wp.func
-def bring_to_touch(s: int, approach: Approach, weight: float, shapes: Shapes):
+def bring_to_touch(s: int, approach: wp.ref[Approach], weight: float, shapes: wp.ref[Shapes]):
     """Contact point of a sample of `own` on `other`, in the frame of `other`.
 
     For gaps above `searched` the result may be FAR. With weight 1 the face is chosen by distance and the sample's
@@ -273,7 +273,7 @@ def opposed(cosine: float, kind: int, other: int):
 
 
 @wp.func
-def place_sample(s: int, approach: Approach, weight: float, shapes: Shapes):
+def place_sample(s: int, approach: wp.ref[Approach], weight: float, shapes: wp.ref[Shapes]):
     """Contact point of a sample; with weight 1, the distance is FAR if the sample does not oppose the surface.
 
     An edge that ends on a face without leaving it is not a contact: the distance to the faces that it opposes is not

@@ -53,7 +53,7 @@ class Way:
 
 
 @wp.func
-def place_near_sample(s: int, approach: Approach, parting: bool, shapes: Shapes):
+def place_near_sample(s: int, approach: wp.ref[Approach], parting: bool, shapes: wp.ref[Shapes]):
     """The contact point of a near sample; `crossing` if it is none, but inside the other body.
 
     Of a pair that comes apart, every sample inside is a contact.
@@ -260,7 +260,7 @@ def passes_by(
     return all_stay_outside(wp.where(is_edge, 1, 0), way, placed, own, other, dt, steps, allowed, near, shapes)
 
 
-@wp.func
+@wp.func(inline=True)
 def touching(
     s: int,
     side: int,

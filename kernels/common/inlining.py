@@ -1,6 +1,8 @@
 """Large functions: called on a CPU, where inlining them takes most of the compilation; inlined on a GPU.
 
-A call on a GPU needs a stack, which makes the search for contacts slower.
+A call on a GPU needs a stack, which makes the search for contacts slower. A call on a CPU copies its arguments; a
+struct of arrays such as `Shapes` has several hundred bytes. Large functions that are called for each sample or pair
+therefore take it by reference (`wp.ref`), or are inlined (`inline=True`) where they are called once.
 """
 
 import warp as wp
