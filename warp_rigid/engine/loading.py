@@ -18,7 +18,7 @@ from warp_rigid.kernels.solve import contact_solver, impact_rounds, push_out, pu
 from warp_rigid.kernels.update import ground_motion, health, integrate, paths, predict, sleep, watch
 
 TEAM_MODULES = (contact_solver, restitution, support, coloring, push_out)
-"""Modules whose kernels process an environment with a team; the slowest to compile come first."""
+"""Modules whose kernels process an environment with a team."""
 
 NAMES_OF_TEAM_MODULES = [module.__name__ for module in TEAM_MODULES]
 """Names of the modules that are compiled separately for each size of a team."""
@@ -38,7 +38,7 @@ STEP = (
     build_contacts,
     capacity,
 )
-"""Kernel modules that every step requires; the slowest to compile come first."""
+"""Kernel modules that every step requires."""
 
 GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
 CANDIDATES, WATCH, PATHS = (candidates,), (watch,), (paths,)
@@ -55,14 +55,26 @@ DIVIDED = (narrowphase.__name__, ccd.__name__, JOINTS)
 optimization of functions that are inlined into each kernel. On a CPU, kernels of a module call the same functions, and
 are compiled together."""
 
-SLOWEST = ("sweep_with_joints", "move_untouched")
-"""Kernels of `DIVIDED` that take longest to compile for a GPU."""
+SLOWEST = (
+    "sweep_with_joints",
+    "move_untouched",
+    "contact_solver",
+    "touch_near_samples",
+    "settle_joints",
+    "advance_solids",
+    "choose_contacts",
+    "trace_suspects",
+)
+"""Ends of the names of the Warp modules that take longest to compile for a GPU; they are compiled first.
+
+Python generates the code of one module after another: 4 s for the modules of a step, while the slowest compilation takes
+10 s.
+"""
 
 
 def everything() -> tuple[Any, ...]:
-    """All kernel modules; the slowest to compile come first."""
-    others = (*OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH, *PATHS)
-    return (import_module(JOINTS), *STEP[:2], *others)
+    """All kernel modules."""
+    return (import_module(JOINTS), *STEP, *HEAPS, *OVERLAP, *GRIDS, *SLEEP, *GROUND, *CANDIDATES, *WATCH, *PATHS)
 
 
 def block_of(name: str, lanes: int) -> int:
@@ -102,10 +114,14 @@ def kernel_for(kernel: Any, device: Any, lanes: int = 1) -> Any:
 
 
 def units_of(module: Any, device: Any, lanes: int = 1) -> list[str]:
-    """Names of the Warp modules that hold the kernels of a module (`kernel_for`); the slowest to compile come first."""
+    """Names of the Warp modules that hold the kernels of a module (`kernel_for`)."""
     kernels = wp.get_module(module.__name__).kernels.values()
-    ordered = sorted(kernels, key=lambda kernel: kernel.key not in SLOWEST)
-    return list(dict.fromkeys(kernel_for(kernel, device, lanes).module.name for kernel in ordered))
+    return list(dict.fromkeys(kernel_for(kernel, device, lanes).module.name for kernel in kernels))
+
+
+def _rank(name: str) -> int:
+    """Place of a Warp module in the order of compilation."""
+    return next((place for place, end in enumerate(SLOWEST) if name.endswith(end)), len(SLOWEST))
 
 
 def load_kernels(
@@ -114,7 +130,7 @@ def load_kernels(
     lanes: Sequence[int] = (1,),
     on_module: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Compile kernels, or load them from Warp's cache, several modules in parallel, in the given order.
+    """Compile kernels, or load them from Warp's cache, several modules in parallel, the slowest ones first.
 
     Modules cannot be compiled during graph capture, so all kernels of a recorded step must be loaded before. Kernels
     that are seldom needed are loaded on demand.
@@ -141,7 +157,8 @@ def load_kernels(
         for block in blocks_of(module, size)
     )
     with ThreadPoolExecutor(usable_cores()) as pool:
-        loaded = [pool.submit(load_module, device, name, block) for name, block in jobs]
+        ordered = sorted(jobs, key=lambda job: _rank(job[0]))
+        loaded = [pool.submit(load_module, device, name, block) for name, block in ordered]
         for ready, done in enumerate(as_completed(loaded), start=1):
             done.result()
             if on_module is not None:
