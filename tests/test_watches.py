@@ -67,6 +67,39 @@ def test_summed_impulse_holds_the_weight(device):
     assert sim.watched()["rest_time"][1, 0] == pytest.approx(np.sqrt(2 * 0.3 / GRAVITY), abs=3 * DT)
 
 
+@pytest.mark.parametrize("size", [1e-4, 1e-3, 100.0])
+def test_summed_impulse_holds_at_every_scale(device, size):
+    """A cube at rest, of 1 ug to 2500 t: in steps that scale with it, the ground carries m g t."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(), name="ground")
+    scene.add_body(wr.Box((size / 2,) * 3), position=(0, 0, size / 2), name="cube")
+    sim = wr.Simulator(scene, settings=wr.Settings(dt=float(DT * np.sqrt(size / 0.2))), device=device)
+    sim.watch(["cube"])
+    sim.step(240)
+    weight = sim.get("mass")[0, 1] * GRAVITY
+    assert sim.watched()["summed_impulse"][0, 0] == pytest.approx(weight * sim.time, rel=1e-5)
+
+
+def test_summed_impulse_of_sleeping_bodies(device):
+    """Asleep, two boxes still press on each other and on the ground: m g t. A wall that they do not touch has none."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(), name="ground")
+    scene.add_static(wr.Box((0.1, 1, 1)), position=(0.201, 0, 1), name="wall")
+    for i, name in enumerate(("lower", "upper")):
+        scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * i), mass=2.0, name=name)
+    sim = wr.Simulator(scene, settings=wr.Settings(sleeping=True), device=device)
+    sim.watch([("lower", "ground"), "upper", ("upper", "wall")])
+    sim.step(480)
+    assert sim.get("asleep")[0, 2:].all()
+    found = {name: values[0] for name, values in sim.watched().items()}
+    expected = np.array([4.0, 2.0, 0.0]) * GRAVITY * sim.time
+    np.testing.assert_allclose(found["summed_impulse"], expected, rtol=1e-3)
+    assert found["impacts"].tolist() == [1, 1, 0] and np.isnan(found["first_contact"][2])
+    sim.set("force", (0, 0, -1.0), bodies=["upper"])
+    sim.step(60)
+    assert sim.watched()["impacts"][0].tolist() == [1, 1, 0]
+
+
 def test_watches_change_no_bit_and_do_not_depend_on_the_batch(device):
     scenes = [drop(0.3, 0.5), drop(0.1, 0.0, extra=False)]
     plain, sim = (wr.Simulator(scenes, num_envs=2, device=device) for _ in range(2))

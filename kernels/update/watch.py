@@ -1,20 +1,21 @@
 """Watches: contact impulses, contacts, overlaps and motion of chosen bodies, recorded in every step.
 
 A watch is of all bodies of an environment, of one body, or of a pair. The impulse of a pair in a step is the magnitude
-of the vector sum of the impulses of its contacts, in impacts and at rest. Sums are kept as integers, so that they do
-not depend on the order of threads.
+of the vector sum of the impulses of its contacts, in impacts and at rest. The sum of a step is one of integers, so that
+it does not depend on the order of threads.
 """
 
 import warp as wp
 
 from warp_rigid.kernels.constraints.contact import IMPULSE, impulse_of, read_contact, world_vector
 from warp_rigid.kernels.enums import Role
-from warp_rigid.kernels.schema import Bodies, Contacts, Environments, Motions, Pairs, State, Watches
+from warp_rigid.kernels.schema import Bodies, Contacts, Environments, History, Motions, Pairs, State, Watches
+from warp_rigid.kernels.update.sleep import history_row_if_asleep
 
 wp.set_module_options({"enable_backward": False})
 
-UNITS = wp.constant(wp.float64(2.0**36))
-"""Units of the summed impulse in 1 N s."""
+UNITS = wp.constant(wp.float64(2.0**40))
+"""Units of the sum of a step in its largest impulse."""
 
 ANY = wp.constant(-1)
 """In place of a body: every body."""
@@ -27,31 +28,81 @@ def watches_pair(first: int, second: int, a: int, b: int):
     return one or ((first == ANY or first == b) and (second == ANY or second == a))
 
 
+@wp.func
+def impulse_of_pair(pair: int, pairs: Pairs, contacts: Contacts, history: History, motions: Motions):
+    """Magnitude of the impulse of a pair in this step; sleeping bodies press on each other as in their last step."""
+    sum = wp.vec3(0.0, 0.0, 0.0)
+    row = history_row_if_asleep(pair, motions, pairs)
+    if row >= 0:
+        for c in range(history.contact_start[row], history.contact_start[row + 1]):
+            sum += history.impulse[c]
+        return wp.length(sum)
+    begin = pairs.contact_start[pair]
+    end = pairs.contact_start[pair + 1]
+    if begin < end:
+        sum += contacts.impact[pair]
+        for c in range(begin, end):
+            own = read_contact(c, contacts.rows)
+            sum += world_vector(own.normal, own.tangent, impulse_of(c, IMPULSE, contacts))
+    return wp.length(sum)
+
+
+@wp.func
+def overlap_of_pair(pair: int, pairs: Pairs, contacts: Contacts):
+    """Largest overlap at a contact of a pair at the start of this step, at least 0."""
+    overlap = float(0.0)
+    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+        overlap = wp.max(overlap, -read_contact(c, contacts.rows).gap)
+    return overlap
+
+
 @wp.kernel
-def watch_pairs(threads: int, envs: Environments, bodies: Bodies, pairs: Pairs, contacts: Contacts, watches: Watches):
-    """The threads share the pairs: impulse, contact and overlap of each for the watches of its environment."""
+def watch_pairs(
+    threads: int,
+    envs: Environments,
+    bodies: Bodies,
+    pairs: Pairs,
+    contacts: Contacts,
+    history: History,
+    motions: Motions,
+    watches: Watches,
+):
+    """The threads share the pairs: largest impulse, contact and overlap for the watches of their environment."""
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
-        begin = pairs.contact_start[pair]
-        end = pairs.contact_start[pair + 1]
-        if begin < end or pairs.dormant[pair] > 0:
+        impulse = impulse_of_pair(pair, pairs, contacts, history, motions)
+        overlap = overlap_of_pair(pair, pairs, contacts)
+        if impulse > 0.0 or overlap > 0.0:
             env = bodies.env[pairs.body_a[pair]]
-            sum = contacts.impact[pair]
-            overlap = float(0.0)
-            for c in range(begin, end):
-                row = read_contact(c, contacts.rows)
-                sum += world_vector(row.normal, row.tangent, impulse_of(c, IMPULSE, contacts))
-                overlap = wp.max(overlap, -row.gap)
-            impulse = wp.length(sum)
             a = pairs.body_a[pair] - envs.first_body[env]
             b = pairs.body_b[pair] - envs.first_body[env]
             for w in range(watches.first.shape[1]):
                 if watches_pair(watches.first[env, w], watches.second[env, w], a, b):
                     wp.atomic_max(watches.overlap, env, w, overlap)
-                    if impulse > 0.0:
-                        wp.atomic_max(watches.peak, env, w, impulse)
-                        wp.atomic_add(watches.total, env, w, wp.int64(wp.float64(impulse) * UNITS))
-                    if impulse > 0.0 or pairs.dormant[pair] > 0:
-                        watches.contact_step[env, w] = envs.step[env]
+                    wp.atomic_max(watches.largest, env, w, impulse)
+
+
+@wp.kernel
+def sum_impulses(
+    threads: int,
+    envs: Environments,
+    bodies: Bodies,
+    pairs: Pairs,
+    contacts: Contacts,
+    history: History,
+    motions: Motions,
+    watches: Watches,
+):
+    """The threads share the pairs: sums of the impulses of this step, in units of the largest one, for any masses."""
+    for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
+        impulse = impulse_of_pair(pair, pairs, contacts, history, motions)
+        if impulse > 0.0:
+            env = bodies.env[pairs.body_a[pair]]
+            a = pairs.body_a[pair] - envs.first_body[env]
+            b = pairs.body_b[pair] - envs.first_body[env]
+            for w in range(watches.first.shape[1]):
+                if watches_pair(watches.first[env, w], watches.second[env, w], a, b):
+                    share = wp.float64(impulse) / wp.float64(watches.largest[env, w])
+                    wp.atomic_add(watches.sum, env, w, wp.int64(share * UNITS))
 
 
 @wp.kernel
@@ -70,13 +121,19 @@ def watch_bodies(speed: float, bodies: Bodies, motions: Motions, state: State, e
 
 @wp.kernel
 def close_watches(envs: Environments, watches: Watches):
-    """One thread per environment: note the first contact, and count contacts that begin."""
+    """One thread per environment: add up the impulses, note the first contact, and count contacts that begin."""
     env = wp.tid()
-    if envs.failed[env] == 1:
-        return
     step = envs.step[env]
     for w in range(watches.first.shape[1]):
-        touching = wp.where(watches.contact_step[env, w] == step, 1, 0)
+        largest = watches.largest[env, w]
+        sum = wp.float64(watches.sum[env, w]) / UNITS * wp.float64(largest)
+        watches.largest[env, w] = 0.0
+        watches.sum[env, w] = wp.int64(0)
+        if envs.failed[env] == 1:
+            continue
+        watches.peak[env, w] = wp.max(watches.peak[env, w], largest)
+        watches.total[env, w] = watches.total[env, w] + sum
+        touching = wp.where(largest > 0.0, 1, 0)
         if touching == 1 and watches.first_contact[env, w] == 0:
             watches.first_contact[env, w] = step
         if touching == 1 and watches.touching[env, w] == 0:

@@ -418,7 +418,8 @@ class Simulator:
         """Return what the watches have recorded since `watch` or the last reset: arrays (envs, watches) by name.
 
         The impulse of a pair of bodies in a step is the magnitude of the sum of the impulses at its contacts, those of
-        impacts included. Watches are not stored in checkpoints.
+        impacts included; bodies that sleep press on each other as in their last step awake. Watches are not stored in
+        checkpoints.
 
         - "peak_impulse": largest impulse of a pair in a step [N s].
         - "summed_impulse": sum of the impulses over pairs and steps [N s].

@@ -308,8 +308,9 @@ class Stages:
     def record_watches(self) -> None:
         """Watches: record contact impulses, contacts, overlaps and motion of the watched bodies."""
         model, pools = self.model, self.pools
-        inputs = [self.envs, model.bodies, pools.pairs, pools.contacts]
+        inputs = [self.envs, model.bodies, pools.pairs, pools.contacts, pools.history, self.motions]
         self.share(watch.watch_pairs, pools.sizes["pairs"], inputs, [self.watches])
+        self.share(watch.sum_impulses, pools.sizes["pairs"], inputs, [self.watches])
         self.per_body(watch.watch_bodies, [AT_REST, model.bodies, self.motions, self.state, self.envs], [self.watches])
         self.per_env(watch.close_watches, [self.envs], [self.watches])
 

@@ -9,7 +9,7 @@ from warp_rigid.checks import shown
 from warp_rigid.engine.selection import names_of
 from warp_rigid.engine.world import World
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.update.watch import ANY, UNITS
+from warp_rigid.kernels.update.watch import ANY
 from warp_rigid.scene.scene import Scene
 
 NONE = -2
@@ -46,7 +46,7 @@ def watched(world: World) -> dict[str, np.ndarray]:
     dt = world.settings.dt
     return {
         "peak_impulse": kept["peak"].copy(),
-        "summed_impulse": kept["total"] / float(UNITS),
+        "summed_impulse": kept["total"].copy(),
         "first_contact": np.where(kept["first_contact"] > 0, kept["first_contact"] * dt, np.nan),
         "impacts": kept["impacts"].copy(),
         "rest_time": kept["moving_step"] * dt,
