@@ -9,7 +9,7 @@ from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER, center_inside
 from warp_rigid.kernels.collide.parting import is_parting
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
-from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of
+from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of, inverse_mass_of
 from warp_rigid.kernels.common.tangents import tangent_of, world_vector
 from warp_rigid.kernels.common.team import MOST_REGISTERS
 from warp_rigid.kernels.constraints.contact import (
@@ -78,12 +78,12 @@ def last_contact(pair: int, key: int, history: History):
 
 
 @wp.func
-def with_masses(row: ContactRecord, a: int, b: int, bodies: Bodies, motions: Motions):
+def with_masses(row: ContactRecord, a: int, b: int, motions: Motions):
     """The row with the inverse effective masses of its bodies, along the normal and in the tangent plane."""
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
-    mass = bodies.inverse_mass[a]
+    mass = inverse_mass_of(a, motions)
     inertia = inverse_inertia_of(a, motions)
     r = row.arm_a
     row.normal_a = inverse_effective_mass(r, n, n, mass, inertia)
@@ -91,7 +91,7 @@ def with_masses(row: ContactRecord, a: int, b: int, bodies: Bodies, motions: Mot
         inverse_effective_mass(r, u, n, mass, inertia), inverse_effective_mass(r, v, n, mass, inertia)
     )
     row.tangent_a = tangential_inverse_mass(r, u, v, mass, inertia)
-    mass = bodies.inverse_mass[b]
+    mass = inverse_mass_of(b, motions)
     inertia = inverse_inertia_of(b, motions)
     r = row.arm_b
     row.normal_b = inverse_effective_mass(r, n, n, mass, inertia)
@@ -202,7 +202,7 @@ def build_row(
     row.gap = touch.gap
     row.bias_velocity = bias_velocity_of(touch.gap, size, dt)
     row.surface = carrier_velocity(a, b, row.normal, dt, shapes, bodies, state, motions)
-    return with_masses(row, a, b, bodies, motions)
+    return with_masses(row, a, b, motions)
 
 
 @wp.kernel(module=NARROWPHASE, cuda_max_registers=MOST_REGISTERS)

@@ -15,7 +15,7 @@ from warp_rigid.kernels.schema import (
     State,
 )
 from warp_rigid.kernels.tuning import CONTACT_DISTANCE
-from warp_rigid.kernels.update.force_fields import field_acceleration
+from warp_rigid.kernels.update.force_fields import drag_of, field_acceleration, response_in_drag
 
 wp.set_module_options({"enable_backward": False})
 
@@ -134,7 +134,10 @@ def derive_motion(
     fields: FieldForces,
     motions: Motions,
 ):
-    """Role, centre of mass, world inertia, external accelerations and swept bounding box of each body."""
+    """Role, centre of mass, mass, world inertia, external accelerations and swept bounding box of each body.
+
+    In a medium, the mass is that with which all forces of a step act, those of contacts and joints too.
+    """
     b = wp.tid()
     motions.role[b] = role_of(b, bodies, state, sleep_state)
     env = bodies.env[b]
@@ -146,15 +149,16 @@ def derive_motion(
     inverse = inverse_inertia_at(b, turn, bodies)
     solver_body = SolverBodyRecord()
     solver_body.linear = state.linear_velocity[b]
-    solver_body.inverse_mass = bodies.inverse_mass[b]
+    response = response_in_drag(fields, env, dt)
+    solver_body.inverse_mass = response * bodies.inverse_mass[b]
     solver_body.angular = state.angular_velocity[b]
     solver_body.inverse_inertia_xx = wp.vec4(inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 1])
     solver_body.inverse_inertia_yz = wp.vec3(inverse[1, 2], inverse[2, 2], 0.0)
     motions.solver_bodies[b] = solver_body
     acceleration = wp.vec3(0.0, 0.0, 0.0)
     if bodies.motion[b] == Motion.DYNAMIC:
-        acceleration = envs.gravity[env] + field_acceleration(fields, env, center, state.linear_velocity[b], dt)
-    motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
+        acceleration = envs.gravity[env] + field_acceleration(fields, env, center, state.linear_velocity[b])
+    motions.acceleration[b] = response * (acceleration + bodies.inverse_mass[b] * state.force[b])
     spin_acceleration = inverse * state.torque[b]
     motions.spin_acceleration[b] = spin_acceleration
     motions.velocity_unit[b] = velocity_unit(dt * wp.length(envs.gravity[env]))
@@ -163,10 +167,22 @@ def derive_motion(
 
 
 @wp.kernel
-def integrate_velocities(dt: float, when: int, bodies: Bodies, envs: Environments, motions: Motions):
-    """Velocity update: add the acceleration of a step in environments whose `collision_first` is `when`."""
+def integrate_velocities(
+    dt: float, when: int, bodies: Bodies, envs: Environments, fields: FieldForces, state: State, motions: Motions
+):
+    """Velocity update: add the acceleration of a step in environments whose `collision_first` is `when`.
+
+    Media resist the mean of the velocities before and after the impacts of the step, as impacts are time-centred. With
+    that before them, a medium would accelerate a body that rebounds.
+    """
     b = wp.tid()
-    if envs.collision_first[bodies.env[b]] != when or motions.role[b] != Role.FREE:
+    env = bodies.env[b]
+    if envs.collision_first[env] != when or motions.role[b] != Role.FREE:
         return
-    motions.solver_bodies[b].linear = motions.solver_bodies[b].linear + dt * motions.acceleration[b]
+    linear = motions.solver_bodies[b].linear
+    drag = drag_of(fields, env)
+    if drag > 0.0:
+        half = 0.5 * drag * response_in_drag(fields, env, dt)
+        motions.acceleration[b] = motions.acceleration[b] - half * (linear - state.linear_velocity[b])
+    motions.solver_bodies[b].linear = linear + dt * motions.acceleration[b]
     motions.solver_bodies[b].angular = motions.solver_bodies[b].angular + dt * motions.spin_acceleration[b]

@@ -239,7 +239,8 @@ class Stages:
     @stage
     def integrate_velocities(self, before_collisions: bool) -> None:
         """Velocity update: add the acceleration of the step, in environments whose stage order has it here."""
-        inputs = [self.dt, 0 if before_collisions else 1, self.model.bodies, self.envs]
+        model, when = self.model, 0 if before_collisions else 1
+        inputs = [self.dt, when, model.bodies, self.envs, model.fields, self.state]
         self.per_body(predict.integrate_velocities, inputs, [self.motions])
 
     @stage

@@ -122,6 +122,9 @@ class PointField(ForceField):
 class DragField(ForceField):
     """Resistance of a medium: a body approaches the velocity of the medium exponentially, in a time of 1 / drag.
 
+    The drags of several media add up. In gravity, a body reaches the velocity g / drag. This holds for any time step.
+    Reported impulses of impacts are too large by a fraction of drag * dt / 2.
+
     Attributes:
         drag: deceleration over relative velocity [1/s], at least 0.
         velocity: (3,) velocity of the medium in the world frame, such as wind [m/s].
