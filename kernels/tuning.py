@@ -364,7 +364,12 @@ SLEEP_TRAVEL = wp.constant(0.02)
 """Displacement allowed for a body at rest, as a fraction of its size."""
 
 SLEEP_DELAY = wp.constant(0.5)
-"""Time for which a body must have been at rest to fall asleep [s]."""
+"""Least time for which a body must have been at rest to fall asleep [s]."""
+
+SLEEP_FALL = wp.constant(6.0)
+"""Way that the acceleration of a body would move it by in the time for which it must have been at rest, in sizes of the
+body: 0.5 s for a box of 0.2 m, 3.5 s for one of 10 m. A ball on a slope of more than 0.5 % then moves too far to sleep;
+without it, a ball of 10 m fell asleep on a slope of 5 %."""
 
 
 class Threshold(NamedTuple):

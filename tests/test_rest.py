@@ -140,6 +140,30 @@ def test_a_ball_at_the_top_of_a_ramp_does_not_sleep(device):
     assert min(speeds) < -0.1 and min(np.abs(speeds)) < 5e-3
 
 
+@pytest.mark.parametrize(("radius", "gravity"), [(0.1, 9.81), (5.0, 9.81), (50.0, 9.81), (0.1, 0.1), (5.0, 0.1)])
+def test_a_ball_that_starts_to_roll_slowly_does_not_sleep(device, radius, gravity):
+    """On a slope of 2 %, from rest: 5/7 g s t^2 / 2, for large balls and in weak gravity too, where all goes slowly."""
+    scene = Scene(gravity=(0.02 * gravity, 0, -gravity))
+    scene.add_static(Plane(), friction=0.5)
+    ball = scene.add_body(Sphere(radius), position=(0, 0, radius), friction=0.5)
+    seconds = float(4.0 * np.sqrt(radius / 0.1 * 9.81 / gravity))
+    sim = Simulator(scene, settings=Settings(dt=seconds / 960, sleeping=True), device=device)
+    sim.step(960)
+    assert not sim.get("asleep").any()
+    way = 0.02 * gravity * 5.0 / 7.0 * seconds**2 / 2.0
+    assert sim.get("position")[0, ball, 0] == pytest.approx(way, rel=5e-3)
+
+
+def test_large_bodies_sleep_later(device):
+    """Once their weight would have moved them by six of their sizes: a cube of 10 m after 3.5 s."""
+    scene = ground_scene(friction=0.5)
+    scene.add_body(Box((5.0, 5.0, 5.0)), position=(0, 0, 5.0))
+    sim = sleeping_sim(scene, device, 3.4)
+    assert asleep(sim) == []
+    sim.step(48)
+    assert asleep(sim) == [1]
+
+
 def test_sleepers_keep_their_state_bit_for_bit(device):
     """Pose, energy, contacts and levels; the velocity is zero."""
     sim = sleeping_sim(stack_scene(4, places=(0.0, 1.0)), device)

@@ -1,8 +1,10 @@
 """Sleeping: bodies at rest are put to sleep island by island, and woken when their island is disturbed.
 
-A body is ready to sleep when it has been slow and has stayed close to a reference pose for SLEEP_DELAY. A body at the
-top of its trajectory is therefore not ready. An island (bodies connected by contacts, except through static bodies)
-falls asleep when all its bodies are ready and it is in contact with a static body. Bodies in free fall never sleep.
+A body is ready to sleep when it has been slow and has stayed close to a reference pose for SLEEP_DELAY, and for as long
+as its acceleration by gravity and other forces takes to move a free body by SLEEP_FALL. A body that starts to move, or
+is at the top of its trajectory, is therefore not ready. An island (bodies connected by contacts, except through static
+bodies) falls asleep when all its bodies are ready and it is in contact with a static body. Bodies in free fall never
+sleep.
 
 The pose of sleeping bodies does not change, and their contacts are kept in the history. Their pairs are *dormant*: they
 are listed, but neither searched for contacts nor solved. A whole island is woken when one of its bodies is changed by
@@ -29,7 +31,7 @@ from warp_rigid.kernels.schema import (
     SleepState,
     State,
 )
-from warp_rigid.kernels.tuning import SLEEP_DELAY, SLEEP_SPEED, SLEEP_TRAVEL
+from warp_rigid.kernels.tuning import SLEEP_DELAY, SLEEP_FALL, SLEEP_SPEED, SLEEP_TRAVEL
 
 wp.set_module_options({"enable_backward": False})
 
@@ -177,9 +179,21 @@ def track_motion(shapes: Shapes, bodies: Bodies, state: State, motions: Motions,
         keep_pose(b, state, sleep_state)
 
 
+@wp.func
+def has_had_time_to_move(time: float, size: float, acceleration: wp.vec3):
+    """Whether a body that has hardly moved for some time [s] is at rest, and does not just begin to move.
+
+    Large bodies, and all in weak gravity, need longer to move by a fraction of their size. Without an acceleration, a
+    body at rest remains at rest.
+    """
+    a = wp.length(acceleration)
+    return time >= SLEEP_DELAY and (a == 0.0 or 0.5 * a * time * time >= SLEEP_FALL * size)
+
+
 @wp.kernel
 def test_bodies_for_sleep(
     dt: float,
+    shapes: Shapes,
     bodies: Bodies,
     envs: Environments,
     motions: Motions,
@@ -193,7 +207,9 @@ def test_bodies_for_sleep(
     if motions.role[b] != Role.FREE:
         return
     sleep_state.still_steps[b] = sleep_state.still_steps[b] * envs.sleeping[env]
-    ready = dt * float(sleep_state.still_steps[b]) >= SLEEP_DELAY and envs.failed[env] == 0
+    time = dt * float(sleep_state.still_steps[b])
+    size = shapes.shapes[bodies.shape[b]].size
+    ready = has_had_time_to_move(time, size, motions.acceleration[b]) and envs.failed[env] == 0
     if not ready or state.active[b] == 0:
         sleep_state.keeps_awake[graph.island[b]] = 1
 

@@ -299,7 +299,7 @@ class Stages:
         """Sleeping: put islands to sleep that have been at rest for long enough."""
         graph, bodies, pairs = self.pools.graph, self.model.bodies, self.pools.pairs
         self.per_body(sleep.track_motion, [self.model.shapes, bodies, self.state, self.motions], [self.sleep_state])
-        inputs = [self.dt, bodies, self.envs, self.motions, graph, self.state]
+        inputs = [self.dt, self.model.shapes, bodies, self.envs, self.motions, graph, self.state]
         self.per_body(sleep.test_bodies_for_sleep, inputs, [self.sleep_state])
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
         self.joints.support()
