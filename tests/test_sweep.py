@@ -342,7 +342,7 @@ def test_the_id_of_a_scene_in_a_file_depends_on_its_content(tmp_path, suffix):
         ({"height": [1]}, {"metrics": ["drift", "drift"]}, "drift is given twice"),
         ({"height": [1]}, {"fixed": {"widht": 1}}, "widht: unknown"),
         ({"height": [1]}, {"shard": (3, 2)}, "shard: must be"),
-        ({"height": [1]}, {"output": "a.csv"}, "output: must end in .parquet"),
+        ({"height": [1]}, {"output": "a.csv"}, "output: must end in .parquet, got a.csv; for CSV use"),
         ({"height": [1]}, {"trajectories": "a.h5"}, "trajectories: must end in .zarr"),
     ],
 )

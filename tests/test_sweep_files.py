@@ -225,6 +225,12 @@ def test_what_is_no_table_of_a_sweep_is_refused(tmp_path, change, message):
         read(path)
 
 
+def test_a_table_of_another_ending_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"^path: must end in .parquet, got .*t.csv; for CSV use to_pandas"):
+        SweepResult([{"run": 0}], {}).to_parquet(tmp_path / "t.csv")
+    assert not any(tmp_path.iterdir())
+
+
 def test_vectors_are_read_as_they_were_written(tmp_path):
     """And drawn: a file has lists for them, which do not count as values."""
     written = quick({"gravity": [(0.0, 0.0, -9.81), (0.0, 0.0, -3.0)]})

@@ -23,11 +23,11 @@ def merge_command(
     """Merge the tables of the shards of a sweep. Missing runs count as failed."""
     from warp_rigid.sweep import merge
     from warp_rigid.sweep.result_plots import check_plot
+    from warp_rigid.sweep.table import check_ending
 
     if plot:
         check_plot(plot, plot_kind)
-    if not output.endswith(".parquet"):
-        raise ValueError(f"-o: must end in .parquet, got {output}")
+    check_ending("-o", output)
     own = Path(output).resolve() in [Path(table).resolve() for table in tables]
     if Path(output).exists() and not own and not overwrite:
         raise ValueError(f"{output}: already exists and is not one of the tables; --overwrite replaces it")

@@ -152,7 +152,12 @@ class SweepResult:
         return dataset(self)
 
     def to_parquet(self, path: Any) -> None:
-        """Write the rows to a Parquet file and the metadata to PATH.json."""
+        """Write the rows to a Parquet file and the metadata to PATH.json.
+
+        Raises:
+            ValueError: The path does not end in .parquet.
+        """
+        check_ending("path", path)
         write(self, path)
 
     def replay(self, row: dict[str, Any], scene: Any = None, device: Any = None) -> Any:
@@ -226,8 +231,7 @@ class ResultFile:
             return
         # Fails before any run if pyarrow is missing, and excludes its slow import from the measured write time.
         SweepResult([{"run": 0}], {}).to_arrow()
-        if self.path.suffix != ".parquet":
-            raise ValueError(f"output: must end in .parquet, got {self.path}")
+        check_ending("output", self.path)
         check_replaceable(self.path)
         check_replaceable(sidecar_of(self.path))
         if self.path.exists() and resume:
@@ -305,6 +309,12 @@ def check_same_sweep(path: Any, before: dict[str, Any], now: dict[str, Any]) -> 
             raise ValueError(
                 f"{path}: holds a different sweep: {name} is {before.get(name)!r} there, {now.get(name)!r} here"
             )
+
+
+def check_ending(name: str, path: Any) -> None:
+    """Check that the name of a table ends in .parquet; `name` is that of the argument in the message."""
+    if Path(path).suffix != ".parquet":
+        raise ValueError(f"{name}: must end in .parquet, got {path}; for CSV use to_pandas().to_csv()")
 
 
 def write(result: SweepResult, path: Any, sidecar: bool = True) -> None:
