@@ -66,6 +66,7 @@ def test_one_value_is_the_scenes_and_a_list_the_environments():
     [
         (["heihgt=3"], "--set heihgt: unknown name; did you mean height? All names: "),
         (["zzz=3"], "--set zzz: unknown name; all names: height, friction, skull, dt and those in help(Simulator.set)"),
+        (["substeps=2"], "--set substeps: unknown name; set dt, the time step [s], or use run --substeps"),
         (["height=3", "height=4"], "--set height: given twice"),
         (["height=3,4"], "--set height: is a scene parameter and takes one value"),
         (["dt=0.01,0.02"], "--set dt: is shared by all environments"),

@@ -120,6 +120,8 @@ def assignment_target(name: str, parameters, flag: str = "--set") -> str:
         return "setting"
     if name in PROPERTIES:
         return "property"
+    if name == "substeps":
+        raise ValueError(f"{flag} {name}: unknown name; set dt, the time step [s], or use run --substeps")
     known = suggestion(
         name, (*parameters, *SETTINGS, *PROPERTIES), f"{', '.join((*parameters, 'dt'))} and those in {SET_NAMES}"
     )

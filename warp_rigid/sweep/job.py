@@ -149,7 +149,7 @@ def run_inputs(job: Job, runs: Sequence[Run]) -> list[RunInputs]:
     """Sort the values of each run by target."""
     known = job.demo.parameters
     names = [*job.fixed, *(runs[0].parameters if runs else ())]
-    places = {name: assignment_target(name, known, "axis") for name in names}
+    places = {name: assignment_target(name, known, "fixed" if name in job.fixed else "axis") for name in names}
     found = []
     for run in runs:
         inputs = RunInputs({}, dict(job.demo.settings), {})
