@@ -54,6 +54,23 @@ def test_targets_beyond_a_full_turn(target, stiffness, count):
     assert len(found) == count and all("elbow" in text and "np.radians(90)" in text for text in found)
 
 
+def test_orientations_in_degrees_are_named_once_for_a_place():
+    """A loop in a program, the values of an axis, and the environments whose scenes a batch builds again."""
+    scene = wr.Scene()
+    places = [lambda angle: scene.add_body(wr.Sphere(0.1), orientation=(0, 0, angle, 0))]
+    places += [lambda angle: wr.Compound([(wr.Sphere(0.1), (0, 0, 0), (0, 0, angle, 0))] * 3)]
+
+    def turned(angle=30.0):
+        made = wr.Scene()
+        made.add_body(wr.Sphere(0.1), orientation=(0, 0, angle, 0))
+        return made
+
+    places += [lambda angle: wr.sweep(turned, {"angle": [angle, angle + 1.0]}, duration=0.01, device="cpu")]
+    for place in places:
+        found = hinted(lambda place=place: [place(angle) for angle in (30.0, 60.0, 90.0)])
+        assert len(found) == 1 and "orientation: a quaternion" in found[0]
+
+
 @pytest.mark.parametrize(
     ("orientation", "count"), [((0, 0, 90, 0), 1), ((45.0, 0, 0, 1), 1), ((0, 0, 1, 1), 0), ((1, 1, 1, 1), 0)]
 )

@@ -228,8 +228,9 @@ def unit_quaternion(name, value):
     if length < 1e-6:
         raise ValueError(f"{name}: must be a quaternion (x, y, z, w) of length > 0, got {shown(value)}")
     if length > LONGEST_QUATERNION:
-        text = f"{name}: {shown(value)} is taken as a quaternion (x, y, z, w) and divided by its length, {length:.3g}"
-        warnings.warn(f"{text}; it is no list of angles", stacklevel=4)
+        # The same text for all values: Python shows it once for each place in a program.
+        text = f"a quaternion (x, y, z, w) longer than {LONGEST_QUATERNION:g} is divided by its length"
+        warnings.warn(f"orientation: {text}; it is no list of angles", stacklevel=4)
     # A unit quaternion is returned bit for bit.
     return quaternion if abs(length - 1.0) <= 1e-15 else tuple(x / length for x in quaternion)
 
