@@ -123,6 +123,8 @@ BAD = [
     ("position", [[1, 2, 3]]),
     ("position", (1, (2, 3), 4)),
     ("position", None),
+    ("position", (True, 0.0, 1)),
+    ("position", [0.0, np.True_, 1.0]),
     ("orientation", (0, 0, 0, 0)),
     ("orientation", (0, 0, 1)),
     ("orientation", (0, 0, 0, math.inf)),

@@ -55,6 +55,7 @@ def finite_vector(name, value, length=3):
             return tuple(map(float, given))
     array = numbers_of(value)
     ok = array is not None and array.shape == (length,)
+    ok = ok and not any(isinstance(x, bool | np.bool_) for x in value)  # NumPy takes them as numbers among numbers
     if not (ok and bool((np.abs(array) <= LARGEST).all())):
         raise ValueError(f"{name}: must be {length} finite numbers, got {shown(value)}")
     return tuple(float(x) for x in array)
