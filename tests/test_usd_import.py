@@ -101,6 +101,7 @@ def test_a_cone_is_a_mesh(stage):
     scene = stage(rigid("Cone", "Cone", 'token axis = "Z"; double radius = 0.3; double height = 0.6'), strict=False)
     assert scene.bodies[0].shape.volume == pytest.approx(np.pi * 0.09 * 0.6 / 3, rel=5e-3)
     np.testing.assert_allclose(scene.bodies[0].shape.center_of_mass, (0, 0, -0.15), atol=1e-3)
+    assert [finding.reason for finding in scene.import_report.changed] == ["a Cone is converted to a mesh"]
 
 
 TETRAHEDRON = (

@@ -99,7 +99,8 @@ def convert_prim(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes:
             units = units * [-1.0, 1.0, 1.0]
         return shape, matrix[:3, 3].copy(), quaternion_of_matrix(units)
     vertices, faces = triangles_of(prim)
-    notes.append(f"a {prim.GetTypeName()} with this scale is converted to a mesh")
+    cause = "" if prim.IsA(UsdGeom.Cone) else " with this scale"
+    notes.append(f"a {prim.GetTypeName()}{cause} is converted to a mesh")
     return _mesh_in_frame(vertices, faces, matrix, sdf_resolution, notes), *identity
 
 
