@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Usd
 
 import warp_rigid as wr
 from tests.fuzz.usd import BALL, chain, doubling, nest
@@ -207,6 +208,8 @@ CRATES = sorted((Path(__file__).parent / "fuzz" / "corpus").glob("*.usdc"))
 OPEN_CRATES = """
 import resource, sys
 from pathlib import Path
+from pxr import Usd
+
 import warp_rigid as wr
 from warp_rigid.usd import opening
 for path in sys.argv[1:]:
@@ -389,3 +392,33 @@ def processes_of(group):
             continue
         found += of_group == str(group) and state != "Z"
     return found
+
+
+@pytest.mark.parametrize("held", ["stage", "error"])
+def test_a_file_that_changed_on_the_disk_is_read_again(tmp_path, held):
+    """USD shares the layers that are open in a process: by the caller, or by the traceback of an error."""
+    asset, path = tmp_path / "asset.usda", tmp_path / "file.usda"
+    path.write_text("#usda 1.0\n(\n    metersPerUnit = 1\n    subLayers = [@./asset.usda@]\n)\n")
+
+    def write(radius):
+        write_stage(asset, rigid("Ball", "Sphere", f"double radius = {radius}"))
+
+    write(0.0)
+    if held == "stage":
+        kept = Usd.Stage.Open(str(path))
+    else:
+        with pytest.raises(ValueError, match="radius") as kept:
+            wr.import_usd(path)
+    write(0.3)
+    assert wr.import_usd(path).bodies[0].shape == wr.Sphere(0.3)
+    del kept
+
+
+def test_what_the_caller_has_not_saved_is_kept(tmp_path):
+    path = write_stage(tmp_path / "file.usda", rigid("Ball", "Sphere", "double radius = 0.3"))
+    stage = Usd.Stage.Open(str(path))
+    radius = stage.GetPrimAtPath("/World/Ball").GetAttribute("radius")
+    radius.Set(0.5)
+    path.touch()
+    wr.import_usd(path)
+    assert radius.Get() == 0.5

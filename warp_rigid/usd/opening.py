@@ -35,7 +35,10 @@ def open_stage(path: Path) -> Usd.Stage:
     if refusal:
         raise ValueError(refusal)
     try:
-        return Usd.Stage.Open(Sdf.Layer.FindOrOpen(str(path)))
+        stage = Usd.Stage.Open(Sdf.Layer.FindOrOpen(str(path)))
+        # Layers that are open already are shared, and may be older than their files; unsaved changes are kept.
+        Sdf.Layer.ReloadLayers([layer for layer in stage.GetUsedLayers() if layer.realPath and not layer.dirty])
+        return stage
     except (Tf.ErrorException, UnicodeError) as error:
         raise ValueError(f"{path}: not a readable USD file: {reason_of(error)}") from None
 
