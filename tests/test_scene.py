@@ -171,6 +171,8 @@ def test_the_message_tells_the_range():
         scene.add_static(Ground(), friction=-1)
     with pytest.raises(ValueError, match=r"^mass: must be a number from 1e-17 to 1e\+15, got 0$"):
         scene.add_body(Lump(), mass=0)
+    with pytest.raises(ValueError, match=r"^density: must be a finite number > 0, got 0\.0$"):
+        scene.add_body(Lump(), density=np.float64(0.0))
 
 
 def test_static_and_kinematic_are_checked_too():
