@@ -432,8 +432,10 @@ def test_files_without_bodies_are_refused_in_one_line(stage, tmp_path):
     (tmp_path / "text.usda").write_text("no usd")
     with pytest.raises(ValueError, match="text.usda: not a readable USD file"):
         wr.import_usd(tmp_path / "text.usda")
-    with pytest.raises(ValueError, match="has no rigid bodies or colliders"):
+    with pytest.raises(ValueError, match="has no rigid bodies or colliders of UsdPhysics; export animations with"):
         stage('def Sphere "Ball" {\n}\n')
+    with pytest.raises(ValueError, match="has no rigid bodies or colliders of UsdPhysics; /World/Egg: .*, got 0.0$"):
+        stage(rigid("Egg", "Sphere", "double radius = 0"), strict=False)
 
 
 def test_the_example_by_hand_runs(capsys, tmp_path):

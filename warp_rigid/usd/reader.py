@@ -103,11 +103,8 @@ class Reader:
         JointReader(file, scene).read()
         self._read_cameras()
         if not scene.bodies:
-            reason = f"; {file.findings[0]}" if file.findings else ""
-            raise ValueError(
-                f"{file.path}: has no rigid bodies or colliders of UsdPhysics{reason}; export animations with "
-                "profile='scene' to include them"
-            )
+            reason = file.findings[0] if file.findings else "export animations with profile='scene' to include them"
+            raise ValueError(f"{file.path}: has no rigid bodies or colliders of UsdPhysics; {reason}")
         return scene
 
     def _read_cameras(self) -> None:
