@@ -214,5 +214,5 @@ def test_a_sweep_stopped_by_an_error_tells_what_it_kept(write, tmp_path, capsys,
     command = ["sweep", write(""), "--vary", "height=0.5:1:2", "--batch", "1", "--duration", "0.1", "--device", "cpu"]
     assert cli.main([*command, "-o", str(table)]) == 2
     *_, stopped, reason = capsys.readouterr().err.splitlines()
-    assert stopped.startswith(f"stopped: {table} has the 1 runs finished so far; to continue: warp-rigid sweep")
+    assert stopped.startswith(f"stopped: {table} has the runs finished so far; to continue: warp-rigid sweep")
     assert reason == f"warp-rigid: {table}: No space left on device"

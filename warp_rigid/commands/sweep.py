@@ -116,7 +116,7 @@ def sweep_command(options: SweepOptions) -> int:
     def kept() -> str:
         if output is None:
             return "nothing was kept; to be able to continue, use -o FILE.parquet"
-        return f"{output} has the {finished[0]} runs finished so far; to continue: {continued(options.context)}"
+        return f"{output} has the runs finished so far; to continue: {continued(options.context)}"
 
     with told_if_interrupted(kept, lambda: finished[0] > 0):
         result = sweep(options.scene, **options.arguments(axes, measured), on_progress=on_progress)
