@@ -104,7 +104,17 @@ def try_command(case: list[tuple], folder: Path) -> None:
     flags = [part for flag in case for part in flag]
     if any(_is_work(flag) for flag in case):
         return
-    arguments = ["run", "incline", "--frames", "1", "--checkpoint", str(folder / "a.ckpt"), *flags]
+    arguments = [
+        "run",
+        "incline",
+        "--frames",
+        "1",
+        "--checkpoint",
+        str(folder / "a.ckpt"),
+        "--checkpoint-every",
+        "1",
+        *flags,
+    ]
     if "--device" not in flags:
         arguments += ["--device", "cpu"]
     assert cli.main(arguments) in (0, 2, 3, 4)

@@ -144,6 +144,10 @@ class RunOptions:
         usd = self.usd
         if self.to_usd:
             usd.check_path(Path(self.to_usd))
+        elif usd != UsdOptions(color=self.color):
+            raise ValueError("--usd-profile, --usd-layout, --usd-contacts: require -o with a USD file")
+        if self.checkpoint and self.checkpoint_every is None and not self.resume:
+            raise ValueError("--checkpoint: requires --checkpoint-every or --resume")
 
     def check_unread(self, read: Iterable[str]) -> None:
         """Check that no file that is read is overwritten."""
