@@ -199,6 +199,8 @@ def test_workers_with_several_threads_are_refused():
 def test_mistakes_are_named(tmp_path):
     with pytest.raises(ValueError, match="workers: applies to cluster local only"):
         wr.sweep(ball, AXES, cluster="tcp://127.0.0.1:1", workers=2)
+    with pytest.raises(ValueError, match="^cluster: locl does not answer"):
+        wr.sweep(ball, AXES, cluster="locl")
     with pytest.raises(FileNotFoundError):
         cluster_of_file(str(tmp_path / "none.py"))
     (tmp_path / "hook.py").write_text("def cluster():\n    return 'tcp://somewhere:8786'\n")

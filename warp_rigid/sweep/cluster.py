@@ -72,7 +72,7 @@ def _client(cluster: Any) -> Iterator[Any]:
     else:
         try:
             client = Client(cluster, timeout="30s")
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise ValueError(f"cluster: {cluster} does not answer ({error})") from None
         with client:
             yield client
