@@ -63,7 +63,9 @@ def test_some_environments_only(scene):
         ({"frames": 1, "fps": 0.0}, "fps: must be a finite number > 0"),
         ({"frames": 1, "fps": 100.0}, "nearest valid rate: 120"),
         ({"frames": 1, "fps": 1000.0}, "nearest valid rate: 240"),
-        ({"frames": 1, "envs": [2]}, "envs: must be from 0 to 1"),
+        ({"frames": 1, "envs": [2]}, "envs: must be indices from 0 to 1"),
+        ({"frames": 1, "envs": [0.7]}, "envs: must be indices from 0 to 1"),
+        ({"frames": 1, "envs": [0, 0]}, "envs: must be given once each"),
     ],
 )
 def test_bad_arguments_are_named(scene, arguments, message):
@@ -81,6 +83,7 @@ def test_a_scene_is_neither_recorded_nor_exported_without_a_simulator(scene, tmp
 
 def test_labels_belong_to_environments(scene):
     sim = FakeSimulator(scene, num_envs=2)
+    assert Recorder(sim, 60, envs=[False, True]).envs.tolist() == [1]
     assert Recorder(sim, 60, envs=[1], labels=["b"]).labels == ("b",)
     with pytest.raises(ValueError, match="labels: must be 2, one per environment, got 1"):
         Recorder(sim, 60, labels=["a"])

@@ -15,6 +15,7 @@ from warp_rigid import progress_bar
 from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.display import Inline, film_of, html_of
 from warp_rigid.engine.quantities import is_of_bodies
+from warp_rigid.engine.selection import Indices, env_indices
 from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.extras import need
 from warp_rigid.files import archive
@@ -281,7 +282,7 @@ class Recorder:
     Args:
         sim: the Simulator, or an object with its `scene`, `num_envs`, `time` and `get`.
         fps: frames per simulated second; stored only, the caller steps the simulation.
-        envs: indices of the environments to record; None records all.
+        envs: environments to record, as in Simulator.get; None records all.
         labels: one label per recorded environment.
         velocities: whether to record velocities.
         contacts: whether to record contacts.
@@ -294,10 +295,7 @@ class Recorder:
 
     def __init__(self, sim, fps, envs=None, labels=None, velocities=False, contacts=False, camera=None):
         """Store the constant data; the first `capture` records the initial frame."""
-        self.envs = np.arange(sim.num_envs) if envs is None else np.asarray(envs, dtype=np.int64)
-        outside = self.envs[(self.envs < 0) | (self.envs >= sim.num_envs)]
-        if len(outside):
-            raise ValueError(f"envs: must be from 0 to {sim.num_envs - 1}, got {outside.tolist()}")
+        self.envs = env_indices(sim.num_envs, envs).astype(np.int64)
         self.labels = ("",) * len(self.envs) if labels is None else tuple(labels)
         if len(self.labels) != len(self.envs):
             raise ValueError(f"labels: must be {len(self.envs)}, one per environment, got {len(self.labels)}")
@@ -394,7 +392,7 @@ def record(
     frames: int,
     fps: float = 60.0,
     on_frame: Callable[[int, Any], object] | None = None,
-    envs: Iterable[int] | None = None,
+    envs: Indices = None,
     *,
     velocities: bool = False,
     contacts: bool = False,
@@ -408,7 +406,7 @@ def record(
         frames: number of frames to simulate, >= 0.
         fps: frames per simulated second; one frame must be a whole number of steps of dt.
         on_frame: function(index, sim), called after each captured frame; index 0 is the initial state.
-        envs: indices of the environments to record, which must have the same scene; None records all.
+        envs: environments to record, as in Simulator.get, which must have the same scene; None records all.
         velocities: whether to record velocities.
         contacts: whether to record the contacts of the last step of each frame.
         camera: where pictures, films and USD files of the recording show it from; None for the camera of the scene.
