@@ -38,6 +38,16 @@ def test_failed_runs_are_failed_trials_and_metrics_objectives():
     assert {trial.state.name for trial in study.trials} == {"FAIL"}
 
 
+def test_an_objective_that_no_row_has_is_refused_before_any_run(monkeypatch):
+    axes, options = {"speed": [1.0]}, {"trials": 1, "duration": 0.02, "device": "cpu"}
+    with pytest.raises(ValueError, match="^column: must be a column, got 'outcome_none'; "):
+        wr.search("box_stack", {"height": [1]}, "outcome_none", metrics=["drift", "outcome"], **options)
+    monkeypatch.setattr(batch_module, "_run", lambda *_, **__: pytest.fail("it ran"))
+    for objective in ("drfit", "outcome_error"):
+        with pytest.raises(ValueError, match=f"^objective: must be a column, got '{objective}'; .*names: "):
+            wr.search(ball, axes, objective, **options)
+
+
 def test_mistakes_are_named():
     with pytest.raises(ValueError, match="speed: must be a list, Uniform"):
         wr.search(ball, {"speed": wr.Normal(1, 1)}, "drift")

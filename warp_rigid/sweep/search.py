@@ -3,10 +3,13 @@
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
-from warp_rigid.checks import one_of, whole_in
+from warp_rigid.checks import one_of, shown, suggestion, whole_in
+from warp_rigid.runs.user_code import column_name
 from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Uniform, clean_axes
-from warp_rigid.sweep.columns import FINISHED
+from warp_rigid.sweep.columns import COLUMNS, FINISHED
 from warp_rigid.sweep.execution import sweep
+from warp_rigid.sweep.metrics import OUTCOME, check_metrics
+from warp_rigid.sweep.observers import check_observers
 
 
 def search(
@@ -49,6 +52,11 @@ def search(
     space = {name: _as_optuna(name, axis) for name, axis in clean_axes(axes).items()}
     if not space:
         raise ValueError("axes: must have at least one axis")
+    names = map(column_name, (*check_metrics(options.get("metrics")), *check_observers(options.get("observe"))))
+    known = (*names, *COLUMNS)
+    # The columns of an outcome are known after the first batch.
+    if not (callable(objective) or objective in known or (OUTCOME in known and str(objective).startswith(OUTCOME))):
+        raise ValueError(f"objective: must be a column, got {shown(objective)}{suggestion(objective, known)}")
     if study is None:
         # The constant liar spreads the proposals of a batch, whose results are not yet known.
         sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True, n_startup_trials=min(batch, trials))
@@ -59,6 +67,8 @@ def search(
         proposed = [study.ask(space) for _ in range(min(batch, trials - done))]
         points = {name: [trial.params[name] for trial in proposed] for name in space}
         result = sweep(scene, points, design="zip", batch=len(proposed), **options)
+        if not callable(objective):
+            result.column(objective)
         for trial, row in zip(proposed, result.rows, strict=True):
             measured = value(row) if row["status"] in FINISHED else None
             if measured is None:
