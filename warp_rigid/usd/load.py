@@ -16,7 +16,7 @@ def import_usd(
     signed distance grid. References, instances and PointInstancers are expanded. Poses are those at the start of the
     animation; animated kinematic bodies follow their motion as a path.
 
-    Unsupported content (joints, articulations, unknown schemas) is listed in `scene.import_report`, with a warning.
+    Unsupported content, such as D6 joints, is listed in `scene.import_report`, with a warning.
 
     Args:
         path: .usd, .usda, .usdc or .usdz.
