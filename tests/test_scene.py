@@ -173,6 +173,8 @@ def test_the_message_tells_the_range():
         scene.add_body(Lump(), mass=0)
     with pytest.raises(ValueError, match=r"^density: must be a finite number > 0, got 0\.0$"):
         scene.add_body(Lump(), density=np.float64(0.0))
+    with pytest.raises(ValueError, match=r"^position: must be 3 finite numbers, got \[1\.0, 2\.0\]$"):
+        scene.add_body(Lump(), position=np.array([1.0, 2.0]))
 
 
 def test_static_and_kinematic_are_checked_too():

@@ -25,8 +25,10 @@ MOST_SUGGESTED = 3
 
 def shown(value):
     """Format a caller's value for a message: on one line, truncated if long."""
+    if isinstance(value, np.generic | np.ndarray) and value.size <= LONGEST:
+        value = value.tolist()
     try:
-        text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
+        text = " ".join(repr(value).split())
     except ValueError:  # an integer of thousands of digits
         return f"a {type(value).__name__} too long to show"
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
