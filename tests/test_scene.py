@@ -163,6 +163,15 @@ def test_a_bad_value_is_refused_in_one_line_that_names_the_field(field, value):
     assert scene.bodies == []
 
 
+def test_a_pool_whose_names_are_taken_is_refused():
+    """`Simulator.spawn` finds the bodies of a pool by their names."""
+    scene = Scene()
+    scene.add_pool(Lump(), 2, "shot")
+    with pytest.raises(ValueError, match="^name: must be another one, as there is a body shot_0, got 'shot'"):
+        scene.add_pool(Lump(), 3, "shot")
+    assert [body.name for body in scene.bodies] == ["shot_0", "shot_1"]
+
+
 def test_the_message_tells_the_range():
     scene = Scene()
     with pytest.raises(ValueError, match=r"^restitution: must be a number from 0 to 1, got 1\.1$"):

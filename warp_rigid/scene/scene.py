@@ -222,7 +222,11 @@ class Scene:
             ValueError: A value has the wrong type or is outside its range.
         """
         whole_in("count", count, 1, MOST_IN_A_POOL)
-        return [self.add_body(shape, name=f"{name}_{i}", active=False, **more) for i in range(count)]
+        names = [f"{name}_{i}" for i in range(count)]
+        taken = sorted(self._copies.keys() & names)
+        if taken:
+            raise ValueError(f"name: must be another one, as there is a body {taken[0]}, got {shown(name)}")
+        return [self.add_body(shape, name=own, active=False, **more) for own in names]
 
     @list_coefficients
     def add_static(
