@@ -110,6 +110,16 @@ def test_compare_prints_variants_and_expectations(capsys):
     assert all(name in out for name in scenes.get("incline").variants)
 
 
+@pytest.mark.parametrize("option", [("--set", "friction=1"), ("--envs", "2"), ("--seed", "1"), ("--compare",)])
+def test_options_of_a_simulation_do_not_apply_to_an_animation(capsys, tmp_path, monkeypatch, option):
+    from warp_rigid.viewer.playback import FilmViewer
+
+    monkeypatch.setattr(FilmViewer, "__init__", lambda *_: pytest.fail("it is shown"))
+    warp_rigid.record(warp_rigid.Simulator(scenes.load("incline"), device="cpu"), frames=1).save(tmp_path / "a.npz")
+    status, _, err = run(capsys, "view", str(tmp_path / "a.npz"), *option)
+    assert status == 2 and "do not apply to an animation" in err and err.count("\n") == 1
+
+
 @pytest.mark.parametrize("expected, status", [(True, 0), (False, 6)])
 def test_an_unexpected_verdict_has_its_own_status(capsys, monkeypatch, expected, status):
     """The block of the incline starts at rest: it has not slid, whatever the scene expects."""

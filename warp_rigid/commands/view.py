@@ -52,7 +52,10 @@ def view_command(options: ViewOptions) -> None:
     if options.scene.endswith(FILMS):
         from warp_rigid.viewer.playback import FilmViewer, load_film
 
-        viewer: Any = FilmViewer(load_film(options.scene, options.camera), host, port, fast)
+        film = load_film(options.scene, options.camera)
+        if options.assignments or options.compare or (options.envs, options.seed) != (None, None):
+            raise ValueError("--set, --envs, --seed, --compare: do not apply to an animation, which is only played")
+        viewer: Any = FilmViewer(film, host, port, fast)
     else:
         from warp_rigid.viewer.live import LiveViewer
         from warp_rigid.viewer.session import Session
