@@ -311,6 +311,10 @@ def test_a_reset_of_some_environments(device):
             "friction: must be numbers that broadcast to (2, 4), got shape (2, 3)",
         ),
         (
+            lambda: two_scenes().set("friction", [True, True]),
+            "friction: must be numbers that broadcast to (2, 4), got [True, True]",
+        ),
+        (
             lambda: two_scenes().set("friction", [0.1, 0.2]),
             "friction: must be numbers that broadcast to (2, 4), got shape (2,); one per environment has shape (2, 1)",
         ),

@@ -130,9 +130,11 @@ def numbers_of_shape(name, value, shape):
             raise TypeError
         return np.broadcast_to(array, shape)
     except (ValueError, TypeError) as error:
-        lacks_axis = len(shape) > 1 and shape_of(value) == (shape[0], *shape[2:])
-        hint = f"; one per environment has shape {(shape[0], 1, *shape[2:])}" if lacks_axis else ""
-        got = shown(value) if isinstance(error, TypeError) else brief(value)
+        got, hint = brief(value), ""
+        if isinstance(error, TypeError):
+            got = shown(value)
+        elif len(shape) > 1 and shape_of(value) == (shape[0], *shape[2:]):
+            hint = f"; one per environment has shape {(shape[0], 1, *shape[2:])}"
         raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {got}{hint}") from error
 
 
