@@ -223,9 +223,11 @@ def test_series_in_zarr_are_those_in_parquet(tmp_path, monkeypatch):
     [
         ({"series": ["energy"], "series_output": "s.h5"}, "series_output: must end in .zarr, got s.h5"),
         ({"series_output": "s.zarr"}, "series_output: requires series"),
+        ({"resume": True}, "resume: requires output, trajectories or series_output"),
+        ({"overwrite": True, "series": ["energy"]}, "overwrite: requires output, trajectories or series_output"),
     ],
 )
-def test_bad_outputs_of_series_are_named(options, message):
+def test_bad_outputs_are_named(options, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         quick({"height": [0.1]}, **options)
 

@@ -31,7 +31,7 @@ def told_by(act):
     return str(error.value)
 
 
-@pytest.mark.parametrize("value", [HUGE, -HUGE, 1 + 2j, [1, 2j], "x", None, MASKED])
+@pytest.mark.parametrize("value", [HUGE, -HUGE, 1 + 2j, [1, 2j], [True, 0.5], "x", None, MASKED])
 @pytest.mark.parametrize(
     ("make", "name"),
     [
@@ -65,6 +65,7 @@ def test_limits_that_single_precision_cannot_hold_are_refused(limits, sim):
     [
         ("sleeping", np.array(1.0), "sleeping: must be True or False, got 1.0"),
         ("sleeping", np.ma.array(True, mask=True), "sleeping: must be True or False, got "),
+        ("friction", [0.5, True, 0.5], "friction: must be"),
         ("contact_iterations", np.array(2.5), "contact_iterations: must be a whole number from 0 to 10000, got 2.5"),
         ("shock_propagation", np.array("on"), "shock_propagation: must be one of off, one_pass, two_pass, got 'on'"),
     ],

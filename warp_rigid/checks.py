@@ -57,7 +57,6 @@ def finite_vector(name, value, length=3):
             return tuple(map(float, given))
     array = numbers_of(value)
     ok = array is not None and array.shape == (length,)
-    ok = ok and not any(isinstance(x, bool | np.bool_) for x in value)  # NumPy takes them as numbers among numbers
     if not (ok and bool((np.abs(array) <= LARGEST).all())):
         raise ValueError(f"{name}: must be {length} finite numbers, got {shown(value)}")
     return tuple(float(x) for x in array)
@@ -241,13 +240,20 @@ def unit_quaternion(name, value):
 
 
 def array_of(value):
-    """Convert to an array; None for what is none, such as lists of unequal lengths, and where values are masked."""
+    """Convert to an array; None for what is none, such as lists of unequal lengths, and where values are masked.
+
+    Lists of numbers and booleans are none either; NumPy takes True as 1 there.
+    """
     if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
         return None
     try:
-        return np.asarray(value)
+        array = np.asarray(value)
     except (ValueError, TypeError, OverflowError):
         return None
+    if isinstance(value, list | tuple) and array.dtype.kind in "iuf":
+        if any(isinstance(x, bool | np.bool_) for x in np.array(value, dtype=object).flat):
+            return None
+    return array
 
 
 def numbers_of(value):

@@ -140,6 +140,8 @@ def sweep(
     )
     if series_output is not None and not kept:
         raise ValueError("series_output: requires series")
+    if (resume or overwrite) and output is None and trajectories is None and series_output is None:
+        raise ValueError(f"{'resume' if resume else 'overwrite'}: requires output, trajectories or series_output")
     if batch != "auto":
         whole_in("batch", batch, 1, MAX_RUNS)
     clean = clean_axes(axes)
