@@ -74,6 +74,7 @@ def test_a_bridge_carries_a_box_of_a_hundred_times_the_mass_of_a_plank(device):
     assert ends == pytest.approx(110.0 * G, rel=5e-3)
 
 
+@pytest.mark.long
 def test_ragdolls_under_a_heavy_plate_come_to_rest(device):
     """A plate of 100 kg falls on the head of a standing ragdoll, which folds up under it, from eight heights.
 

@@ -136,6 +136,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.long
 def test_an_analytic_shape_takes_three_files(copy, device):
     """Distance against that to the box inside, mass against random points, heights at rest against the half height."""
     found = json.loads(run(copy, ROUNDED_BOX, str(device), str(copy / "box.usda")).splitlines()[-1])
