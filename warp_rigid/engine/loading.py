@@ -58,6 +58,7 @@ are compiled together."""
 SLOWEST = (
     "sweep_with_joints",
     "move_untouched",
+    "solve_impacts_with_joints",
     "contact_solver",
     "touch_near_samples",
     "settle_joints",
