@@ -81,25 +81,6 @@ def test_a_spring_drive_oscillates_and_settles(device):
     assert np.abs(sim.get("position")[0, 0, [0, 2]]).max() < 1e-7
 
 
-@pytest.mark.parametrize("kind", [wr.PrismaticJoint, wr.RevoluteJoint])
-def test_a_joint_beyond_its_limit_returns_to_it_and_stays(kind, device):
-    """Its pose is corrected by half of the error in a step, by 1 m/s or 1 rad/s at most; the velocities stay zero."""
-    scene = wr.Scene(gravity=(0, 0, 0))
-    first = scene.add_body(wr.Box((0.1, 0.1, 0.1)), mass=2.0)
-    second = scene.add_body(wr.Box((0.1, 0.1, 0.1)), mass=1.0, position=(1, 0, 0))
-    scene.add_joint(kind((1, 0, 0), limits=(-1, 1)), second, first)
-    sim = simulator(scene, device)
-    sim.set("joint_lower", 0.05)
-    expected = 0.0
-    for _ in range(130):
-        sim.step(1)
-        expected += min(DT, 0.5 * (0.05 - expected))
-        assert sim.get("joint_position")[0, 0] == pytest.approx(expected, abs=1e-6)
-        assert abs(sim.get("joint_velocity")[0, 0]) < 1e-6
-    assert len(sim.warnings()) == 0
-    assert sim.get("mass")[0] @ sim.get("position")[0] == pytest.approx((1, 0, 0), abs=1e-6)
-
-
 def test_a_limit_holds_a_pendulum(device):
     scene = one_body(wr.RevoluteJoint((0, 1, 0), limits=(-0.2, 0.7)), (0, 0, -G), (-0.5, 0, 0))
     sim = simulator(scene, device)

@@ -103,15 +103,9 @@ def excess_of(j: int, value: wp.float64, joints: Joints):
 
 
 @wp.func
-def has_one_value(j: int, joints: Joints):
-    """Whether the limits of a coordinate leave it one value only."""
-    return joints.numbers[j, JointNumber.LOWER] == joints.numbers[j, JointNumber.UPPER]
-
-
-@wp.func
 def mode_before_forces(j: int, value: wp.float64, speed: wp.float64, joints: Joints):
     """Mode in which the velocities at the start of a step are made to obey the joints."""
-    if has_one_value(j, joints):
+    if joints.numbers[j, JointNumber.LOWER] == joints.numbers[j, JointNumber.UPPER]:
         return wp.vec3i(AT_LOWER, 0, 0)
     if value > number_of(j, JointNumber.UPPER, joints) - NEAR_LIMIT and speed > wp.float64(0.0):
         return wp.vec3i(AT_UPPER, 0, 0)
@@ -139,7 +133,7 @@ def limit_beyond(j: int, value: wp.float64, joints: Joints):
 @wp.func
 def first_mode(j: int, value: wp.float64, joints: Joints):
     """Mode with which a step begins, from the predicted value of the coordinate."""
-    if has_one_value(j, joints):
+    if joints.numbers[j, JointNumber.LOWER] == joints.numbers[j, JointNumber.UPPER]:
         return wp.vec3i(AT_LOWER, 0, 0)
     beyond = limit_beyond(j, value, joints)
     if beyond != LAW:
@@ -157,7 +151,7 @@ def sign_of(x: wp.float64):
 def next_mode(j: int, dt: wp.float64, value: wp.float64, speed: wp.float64, joints: Joints):
     """Mode after a solution with this value and speed; the same one if they lie on its piece."""
     mode = joints.mode[j]
-    if has_one_value(j, joints):
+    if joints.numbers[j, JointNumber.LOWER] == joints.numbers[j, JointNumber.UPPER]:
         return mode
     impulse = joints.total[j][free_row(joints.coordinate[j])]
     rest = impulse - limited_drive(j, dt, value, speed, joints)

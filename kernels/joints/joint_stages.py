@@ -28,7 +28,6 @@ from warp_rigid.kernels.joints.mechanism import (
     STILL,
     UNTOUCHED,
     activity_of,
-    any_beyond_limit,
     close_joints,
     energy_terms,
     needs_solution,
@@ -500,7 +499,7 @@ def share_impacts(
 
 @wp.kernel
 def close_stopped(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One team per mechanism, after the last round: its joints hold where they stopped, and return to their limits."""
+    """One team per mechanism, after the last round: where its joints stopped, they hold."""
     team = team_of(wp.tid(), lanes)
     m = team.env
     if joints.activity[m] == STILL:
@@ -510,7 +509,7 @@ def close_stopped(dt: float, lanes: int, bodies: Bodies, state: State, motions: 
         b = joints.member[i]
         if motions.role[b] == Role.FREE and motions.next_time_of_impact[b] < 1.0:
             stopped = 1
-    if stopped == 1 or any_beyond_limit(m, joints):
+    if stopped == 1:
         close_joints(m, dt, team, bodies, state, motions, joints)
 
 

@@ -13,12 +13,10 @@ from warp_rigid.kernels.enums import JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
     IDLE,
-    TOLERANCE,
     damping_slope,
     drive_slope,
     excess_of,
     first_mode,
-    has_one_value,
     held_residual,
     is_held,
     law_impulse,
@@ -101,19 +99,8 @@ def needs_solution(m: int, joints: Joints):
 
 
 @wp.func
-def error_left(error: wp.float64, dt: float):
-    """Error that may remain after a step."""
-    most = FASTEST * wp.float64(dt)
-    return error - wp.clamp((wp.float64(1.0) - KEPT_ERROR) * error, -most, most)
-
-
-@wp.func
 def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joints):
-    """Rows of a joint at the start of a step, its errors over dt as the bias, and those that may remain after it.
-
-    Velocities that correct an error remain in the step after it. Those along locked rows are removed there, but not
-    that of a coordinate, which may leave its limit: all of its excess may remain, and `close_joints` corrects it.
-    """
+    """Rows of a joint at the start of a step, its errors over dt as the bias, and those that may remain after it."""
     build_rows(j, bodies, joints)
     errors = errors_of(j, ends_of(j, joints), joints)
     joints.bias[j] = errors / wp.float64(dt)
@@ -125,11 +112,10 @@ def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joi
         joints.drift[j] = wp.float64(0.0)
         joints.mode[j] = mode_before_forces(j, errors[row], speed, joints)
         errors[row] = excess_of(j, errors[row], joints)
+    most = FASTEST * wp.float64(dt)
     allowed = vec6d()
     for k in range(6):
-        allowed[k] = error_left(errors[k], dt)
-    if row >= 0 and not has_one_value(j, joints):
-        allowed[row] = errors[row]
+        allowed[k] = errors[k] - wp.clamp((wp.float64(1.0) - KEPT_ERROR) * errors[k], -most, most)
     joints.allowed[j] = allowed
     joints.total[j] = vec6d()
 
@@ -441,30 +427,16 @@ def gap_of(j: int, dt: float, motions: Motions, joints: Joints):
     """Errors of the rows of a joint at the stored poses beyond the allowed ones, over dt; 0 where it is not held."""
     errors = errors_of(j, ends_of(j, joints), joints)
     held = present_rows(j, motions, joints)
-    allowed = joints.allowed[j]
     row = free_row(joints.coordinate[j])
     if row >= 0:
         errors[row] = excess_of(j, errors[row], joints)
-        if not has_one_value(j, joints):
-            allowed[row] = error_left(allowed[row], dt)
         if has_coordinate(j, motions, joints) and is_held(joints.mode[j]):
             held = held | (1 << row)
-    errors = (errors - allowed) / wp.float64(dt)
+    errors = (errors - joints.allowed[j]) / wp.float64(dt)
     for k in range(6):
         if not is_locked(held, k):
             errors[k] = wp.float64(0.0)
     return errors
-
-
-@wp.func
-def any_beyond_limit(m: int, joints: Joints):
-    """Whether a coordinate of a mechanism was beyond a limit at the start of the step."""
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        row = free_row(joints.coordinate[j])
-        if row >= 0 and not has_one_value(j, joints) and wp.abs(joints.allowed[j][row]) > TOLERANCE:
-            return True
-    return False
 
 
 @wp.func

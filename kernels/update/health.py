@@ -161,12 +161,11 @@ def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, sta
     """Compare the energy gained without work, summed over the bodies, with its least value.
 
     Contacts only take energy, so the sum only falls, apart from rounding and the errors of the solver. Bodies and
-    ground that are moved do work on others; then the sum starts anew. Changes of velocities with which solvers end are
-    no gain: without gravity, bodies at rest have no other energy.
+    ground that are moved do work on others; then the sum starts anew.
     """
     gained = wp.float64(0.0)
     kinetic = wp.float64(0.0)
-    unnoticed = wp.float64(0.0)
+    lift = wp.float64(0.0)
     driven = envs.driven[env]
     envs.driven[env] = 0
     fastest = int(0)
@@ -183,9 +182,7 @@ def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, sta
             gained += health[GAINED]
             kinetic += health[KINETIC]
             weight = bodies.mass[b] * wp.length(motions.acceleration[b])
-            converged = CALM_CONVERGED * motions.velocity_unit[b]
-            unnoticed += LIFT * wp.float64(weight * shapes.shapes[bodies.shape[b]].size)
-            unnoticed += wp.float64(bodies.mass[b] * converged * converged)
+            lift += wp.float64(weight * shapes.shapes[bodies.shape[b]].size)
             if health[KINETIC] > most:
                 most = health[KINETIC]
                 fastest = b - first
@@ -194,7 +191,7 @@ def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, sta
     least = wp.min(gained, before[0])
     if driven == 1:
         least = gained
-    elif gained - least > GAIN * largest + unnoticed:
+    elif gained - least > GAIN * largest + LIFT * lift:
         warn(env, WarningKind.ENERGY, fastest, envs)
     envs.health[env] = wp.vec2d(least, largest)
 
