@@ -165,22 +165,6 @@ def test_what_fails_on_a_worker_is_a_row_with_its_reason():
     assert "must return (1,)" in failed.rows[0]["reason"]
 
 
-@pytest.mark.long
-def test_what_warns_while_scenes_are_built_warns_once_for_all_workers(capfd):
-    """And what warns of a simulator, once: the second of two workers has the same scenes."""
-
-    def lever(friction=0.5):
-        scene = wr.Scene()
-        scene.add_body(wr.Box((0.1, 0.1, 0.1)), orientation=(0, 0, 90, 0), name="lever")
-        scene.add_joint(wr.RevoluteJoint((0, 1, 0), limits=(-90, 90)), "lever")
-        return scene
-
-    with pytest.warns(UserWarning, match="orientation: a quaternion"):
-        quick({"friction": [0.1, 0.2]}, lever, batch=1, cluster="local", workers=2)
-    told = capfd.readouterr().err
-    assert told.count("orientation: a quaternion") == 0 and told.count("beyond a full turn") == 1
-
-
 def test_workers_of_one_host_share_its_cores(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     with LocalCluster(n_workers=3, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as made:

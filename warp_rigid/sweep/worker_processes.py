@@ -5,7 +5,6 @@ import signal
 import tempfile
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
@@ -145,10 +144,6 @@ def _begin(number: int, count: int, done: str) -> None:
     """Load the kernels that every batch needs, as worker `number` of `count`; `done` is the file of _open_done."""
     global _number, _sharers, _done
     _number, _sharers, _done = number, count, _open_done(done, count)
-    # The process that started this one has built all scenes, and all workers build the same simulators.
-    warnings.simplefilter("ignore", UserWarning)
-    if number == 0:
-        warnings.filterwarnings("default", module=run_batch.__module__)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one ends it
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     start_warp()
