@@ -66,7 +66,7 @@ SLOWEST = (
     "choose_contacts",
     "trace_suspects",
 )
-"""Ends of the names of the Warp modules that take longest to compile for a GPU; they are compiled first.
+"""Parts of the names of the Warp modules that take longest to compile for a GPU; they are compiled first.
 
 Python generates the code of one module after another, 4 s for those of a step. The slowest compilation takes 10 s, and
 27 s with joints.
@@ -122,7 +122,7 @@ def units_of(module: Any, device: Any, lanes: int = 1) -> list[str]:
 
 def _rank(name: str) -> int:
     """Place of a Warp module in the order of compilation."""
-    return next((place for place, end in enumerate(SLOWEST) if name.endswith(end)), len(SLOWEST))
+    return next((place for place, end in enumerate(SLOWEST) if f"{end}." in f"{name}."), len(SLOWEST))
 
 
 def load_kernels(

@@ -123,7 +123,8 @@ class DragField(ForceField):
     """Resistance of a medium: a body approaches the velocity of the medium exponentially, in a time of 1 / drag.
 
     The drags of several media add up. In gravity, a body reaches the velocity g / drag. This holds for any time step.
-    Reported impulses of impacts are too large by a fraction of drag * dt / 2.
+    Reported impulses of impacts are too large by a fraction of drag * dt / 2. Above drag * dt = 100, impulses at rest
+    are too small, and `warnings()` may report loads and energy that are none.
 
     Attributes:
         drag: deceleration over relative velocity [1/s], at least 0.
