@@ -239,14 +239,14 @@ def test_a_disk_that_becomes_full_leaves_the_old_file(capsys, tmp_path, name, fl
 
 
 def test_a_disk_that_becomes_full_leaves_the_old_table(capsys, tmp_path):
-    arguments = ["sweep", "incline", "--vary", "friction=0.1,0.2", "--duration", "0.01", "--overwrite"]
-    outputs = ["-o", str(tmp_path / "t.parquet"), "--plot", str(tmp_path / "t.svg")]
+    arguments = ["sweep", "incline", "--vary", "friction=0.1,0.2", "--duration", "0.01"]
+    outputs = ["--plot", str(tmp_path / "t.svg"), "--overwrite", "-o", str(tmp_path / "t.parquet")]
     assert run(capsys, *arguments, *outputs)[0] == 0
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
     with full_disk():
         for output in (outputs[:2], outputs[2:]):
             status, _, err = run(capsys, *arguments, *output)
-            assert status == 2 and err.splitlines()[-1] == f"warp-rigid: {output[1]}: File too large"
+            assert status == 2 and err.splitlines()[-1] == f"warp-rigid: {output[-1]}: File too large"
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
