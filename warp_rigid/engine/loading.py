@@ -122,7 +122,7 @@ def units_of(module: Any, device: Any, lanes: int = 1) -> list[str]:
 
 def _rank(name: str) -> int:
     """Place of a Warp module in the order of compilation."""
-    return next((place for place, end in enumerate(SLOWEST) if f"{end}." in f"{name}."), len(SLOWEST))
+    return next((place for place, slow in enumerate(SLOWEST) if f"{slow}." in f"{name}."), len(SLOWEST))
 
 
 def load_kernels(
