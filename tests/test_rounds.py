@@ -220,6 +220,28 @@ def test_the_push_out_of_a_moving_heap_ends_early(device):
     assert np.median(sim.penetration()) < 2e-3 and sim.penetration().max() < 0.01
 
 
+def mechanical_energy(sim, moving):
+    """Kinetic and potential energy of cubes of 0.2 m, (envs,) [J]."""
+    height, mass = sim.get("position")[:, moving, 2], sim.get("mass")[:, moving]
+    squares = [(sim.get(f"{kind}_velocity")[:, moving] ** 2).sum(axis=2) for kind in ("linear", "angular")]
+    return (mass * (9.81 * height + 0.5 * (squares[0] + 0.2**2 / 6.0 * squares[1]))).sum(axis=1)
+
+
+def test_a_heap_of_bouncing_boxes_is_solved_in_rounds(device):
+    """They rebound, and gain no energy."""
+    case = find_case("pile_box:216")
+    sim = Simulator(case.build(), settings=Settings(dt=DT), device=device)
+    case.scatter(sim)
+    sim.set("restitution", 0.5)
+    energies, impact_rounds = [], []
+    for _ in range(30):
+        sim.step(4)
+        energies.append(mechanical_energy(sim, moving(sim.scene))[0])
+        impact_rounds.append(sim.stats()["impact_rounds"][0])
+    assert max(impact_rounds) == sim.settings.collision_iterations
+    assert np.diff(energies).max() < 1e-6 * energies[0] and energies[-1] < 0.8 * energies[0]
+
+
 @pytest.mark.long
 def test_a_heap_rests(device):
     """Each of three heaps is solved in rounds; after ten seconds only boxes balanced on an edge or corner move."""

@@ -6,7 +6,7 @@ lowest body, in whatever order the threads run.
 
 In environments of many bodies, islands are solved in rounds (rounds.py). Those of other environments, and those for
 which rounds converge slowly, are solved in sweeps with shock propagation (shock.py): islands with joints, with masses
-that differ much, with a body in very many pairs, and bouncing ones.
+that differ much, with a body in very many pairs, and few bodies that bounce.
 
 An island is a pile if most of its bodies have fallen there, and a structure if they were placed where they are. The
 impulses of a pile converge over several steps. Those of a structure must balance its load in each step. The load of a
@@ -16,7 +16,7 @@ alone, unless the masses of its bodies differ much.
 
 import warp as wp
 
-from warp_rigid.kernels.common.crowd import is_crowded
+from warp_rigid.kernels.common.crowd import CROWDED, is_crowded
 from warp_rigid.kernels.common.team import add_together, raise_to
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import IslandSolver, Motion, Role, ShockMode
@@ -169,8 +169,9 @@ def mass_ratio(island: int, graph: Graph):
 
 @wp.func
 def bounces(island: int, graph: Graph):
-    """Whether most bodies of an island have restitution and they move: impacts are then solved one after another."""
-    return 2 * graph.bouncing_votes[island] > graph.island_bodies[island] and graph.island_speed[island] > HARDLY
+    """Whether few bodies, most of which have restitution, move: impacts are then solved one after another."""
+    bouncing = 2 * graph.bouncing_votes[island] > graph.island_bodies[island]
+    return bouncing and graph.island_bodies[island] <= CROWDED and graph.island_speed[island] > HARDLY
 
 
 @wp.func
@@ -223,10 +224,9 @@ def solver_of(island: int, mode: int, crowded: bool, graph: Graph):
 def most_rounds(island: int, iterations: int, graph: Graph):
     """Maximum number of rounds for an island."""
     path = wp.max(wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0), height_of(island, graph))
-    moves = graph.island_speed[island] > HARDLY
-    if is_pile(island, graph) and moves:
+    if is_pile(island, graph):
         return int(float(iterations) * (PILE_ROUNDS + PILE_ROUNDS_PER_BODY * path))
-    least = wp.where(is_pile(island, graph) or moves, STRUCTURE_ROUNDS, STRUCTURE_ROUNDS_AT_REST)
+    least = wp.where(graph.island_speed[island] > HARDLY, STRUCTURE_ROUNDS, STRUCTURE_ROUNDS_AT_REST)
     return int(float(iterations) * (least + STRUCTURE_ROUNDS_PER_BODY * path))
 
 
