@@ -56,8 +56,20 @@ def overlap_of_pair(pair: int, pairs: Pairs, contacts: Contacts):
     return overlap
 
 
+@wp.func
+def watch_pair(env: int, w: int, summing: int, impulse: float, overlap: float, watches: Watches):
+    """Record the impulse and overlap of a pair for a watch of it; `summing`: as in `watch_pairs`."""
+    if summing == 1:
+        share = wp.float64(impulse) / wp.float64(watches.largest[env, w])
+        wp.atomic_add(watches.sum, env, w, wp.int64(share * UNITS))
+    else:
+        wp.atomic_max(watches.overlap, env, w, overlap)
+        wp.atomic_max(watches.largest, env, w, impulse)
+
+
 @wp.kernel
 def watch_pairs(
+    summing: int,
     threads: int,
     envs: Environments,
     bodies: Bodies,
@@ -67,42 +79,22 @@ def watch_pairs(
     motions: Motions,
     watches: Watches,
 ):
-    """The threads share the pairs: largest impulse, contact and overlap for the watches of their environment."""
+    """The threads share the pairs: largest impulse, contact and overlap for the watches of their environment.
+
+    In a second launch, which is `summing`: the sums of the impulses, in units of the largest one, for any masses.
+    """
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         impulse = impulse_of_pair(pair, pairs, contacts, history, motions)
-        overlap = overlap_of_pair(pair, pairs, contacts)
+        overlap = float(0.0)
+        if summing == 0:
+            overlap = overlap_of_pair(pair, pairs, contacts)
         if impulse > 0.0 or overlap > 0.0:
             env = bodies.env[pairs.body_a[pair]]
             a = pairs.body_a[pair] - envs.first_body[env]
             b = pairs.body_b[pair] - envs.first_body[env]
             for w in range(watches.first.shape[1]):
                 if watches_pair(watches.first[env, w], watches.second[env, w], a, b):
-                    wp.atomic_max(watches.overlap, env, w, overlap)
-                    wp.atomic_max(watches.largest, env, w, impulse)
-
-
-@wp.kernel
-def sum_impulses(
-    threads: int,
-    envs: Environments,
-    bodies: Bodies,
-    pairs: Pairs,
-    contacts: Contacts,
-    history: History,
-    motions: Motions,
-    watches: Watches,
-):
-    """The threads share the pairs: sums of the impulses of this step, in units of the largest one, for any masses."""
-    for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
-        impulse = impulse_of_pair(pair, pairs, contacts, history, motions)
-        if impulse > 0.0:
-            env = bodies.env[pairs.body_a[pair]]
-            a = pairs.body_a[pair] - envs.first_body[env]
-            b = pairs.body_b[pair] - envs.first_body[env]
-            for w in range(watches.first.shape[1]):
-                if watches_pair(watches.first[env, w], watches.second[env, w], a, b):
-                    share = wp.float64(impulse) / wp.float64(watches.largest[env, w])
-                    wp.atomic_add(watches.sum, env, w, wp.int64(share * UNITS))
+                    watch_pair(env, w, summing, impulse, overlap, watches)
 
 
 @wp.kernel

@@ -310,8 +310,8 @@ class Stages:
         """Watches: record contact impulses, contacts, overlaps and motion of the watched bodies."""
         model, pools = self.model, self.pools
         inputs = [self.envs, model.bodies, pools.pairs, pools.contacts, pools.history, self.motions]
-        self.share(watch.watch_pairs, pools.sizes["pairs"], inputs, [self.watches])
-        self.share(watch.sum_impulses, pools.sizes["pairs"], inputs, [self.watches])
+        for summing in (0, 1):
+            self.share(watch.watch_pairs, pools.sizes["pairs"], inputs, [self.watches], before=[summing])
         self.per_body(watch.watch_bodies, [AT_REST, model.bodies, self.motions, self.state, self.envs], [self.watches])
         self.per_env(watch.close_watches, [self.envs], [self.watches])
 
