@@ -18,8 +18,8 @@ TRY_ALL_UP_TO = 256
 BUCKETS_PER_BODY = 2
 """Minimum number of buckets for each body, so that cells seldom share a bucket."""
 
-CANDIDATES_PER_BODY = 32
-"""Initial capacity of the list of each body; the longest list of a heap of boxes has about 25 entries."""
+CANDIDATES_PER_BODY = 48
+"""Initial capacity of the list of each body; the longest list of a landing heap of 4096 boxes has 33 entries."""
 
 ORDINARY_WIDTH = 1.3
 """Cell width at the level of ordinary bodies, divided by their diameter, so that most fat boxes at rest fit in."""
