@@ -362,10 +362,10 @@ ImpulseRecord = packed_record(
     "ImpulseRecord",
     "Impulses of a contact row. Components are along the normal and the two tangents.",
     impulse=Field(wp.vec3, "", "N s", "accumulated impulse"),
+    start_impulse=Field(wp.vec3, "", "N s", "impulse before shock propagation"),
     angular_impulse=Field(wp.vec3, "", "N m s", "accumulated angular impulse"),
     impact_impulse=Field(wp.vec3, "", "N s", "impulse of an impact, or pseudo-impulse of the push-out"),
     target=Field(float, "", "m/s", "target normal velocity of an impact or of the push-out"),
-    start_impulse=Field(wp.vec3, "", "N s", "impulse before shock propagation"),
     start_angular_impulse=Field(wp.vec3, "", "N m s", "angular impulse before shock propagation"),
 )
 
