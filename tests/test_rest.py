@@ -353,6 +353,21 @@ def test_sleep_that_is_switched_on_counts_from_then(device):
         assert asleep(sim, env) == [1, 2, 3]
 
 
+def test_sleep_that_is_switched_off_leaves_no_trace(device):
+    """Boxes that stood still are pushed: they slide as if no environment had ever been allowed to sleep."""
+    never, once = (Simulator(stack_scene(1, (0.0, 1.0, 2.0)), num_envs=2, device=device) for _ in range(2))
+    once.set("sleeping", True, envs=[0])
+    for sim in (never, once):
+        sim.step(8)
+    once.set("sleeping", False, envs=[0])
+    for sim in (never, once):
+        sim.set("linear_velocity", (0, 2, 0), bodies=[1, 2, 3])
+        sim.step(60)
+    assert snapshot(once) == snapshot(never)
+    assert once.penetration().max() < 1e-6
+    np.testing.assert_allclose(once.get("linear_velocity")[:, 1:, 1], 2 - 0.5 * 9.81 * 0.25, rtol=0.01)
+
+
 def test_box_stack_ends_alike_with_and_without_sleep(device):
     """The demo's verdicts, in one batch without and with sleep: the stack sleeps, until it is hit."""
     slept = []

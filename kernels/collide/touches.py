@@ -318,6 +318,7 @@ def touching(
 
 @wp.kernel(module=NARROWPHASE, cuda_max_registers=MOST_REGISTERS)
 def touch_near_samples(
+    woken: int,
     which: int,
     sharing: Sharing,
     dt: float,
@@ -332,16 +333,22 @@ def touch_near_samples(
 ):
     """The threads share the near samples of a round: find their contact points. Record the number of samples.
 
-    If there are more of searched pairs than fit, the step is void, and none of them touches.
+    If there are more of searched pairs than fit, the step is void, and none of them touches. Only the second round,
+    of pairs that were `woken`, has samples before its own.
     """
     own = claim(wp.tid(), sharing)
     count = usable_count(own, which, near.count[0], near.next.shape[0], wanted_row, wanted)
-    searched = wp.max(count - near.begin[0], 0)
-    rows = rows_of(own, searched + near.count[KEPT] - near.begin[KEPT], sharing)
+    first = int(0)
+    first_kept = int(0)
+    if woken == 1:
+        first = near.begin[0]
+        first_kept = near.begin[KEPT]
+    searched = wp.max(count - first, 0)
+    rows = rows_of(own, searched + near.count[KEPT] - first_kept, sharing)
     for row in range(rows.first, rows.end, rows.stride):
-        k = near.begin[0] + row
+        k = first + row
         if row >= searched:
-            k = near.next.shape[0] + near.begin[KEPT] + row - searched
+            k = near.next.shape[0] + first_kept + row - searched
         if near.key[k] < 0:
             continue
         pair = near.pair[k]

@@ -454,14 +454,14 @@ class Stages:
         pools, pairs, near = self.pools, self.pools.pairs, self.pools.near
         searched = [*self.moving, self.envs]
         pairs.candidate_count.zero_()
-        if self.sleeping:  # there is a second round, whose samples follow those of the first
+        if woken:  # the samples of the second round follow those of the first
             wp.copy(near.begin, near.count)
         size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.listing_lanes
         with self.parts.shared():
             self.share(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs, near], before=[woken])
             self.share(narrowphase.list_near_samples, size, searched, [pairs, near], lanes=listing)
             inputs, outputs = [*self.moving, pairs, pools.wanted_row], [near, pools.wanted]
-            self.share(touches.touch_near_samples, samples, inputs, outputs, before=[NEAR_SAMPLES])
+            self.share(touches.touch_near_samples, samples, inputs, outputs, before=[woken, NEAR_SAMPLES])
             chosen = pair_contacts.choose_contacts
             self.share(chosen, size, [*searched, near, pools.history], [pairs], lanes=self.choosing_lanes)
 
