@@ -58,6 +58,20 @@ def test_environments_with_and_without_joints_have_the_bits_of_their_own_batches
             assert not mixed.get("joint_broken")[env].any()
 
 
+@pytest.mark.parametrize("own", [0, 1, 2])
+@pytest.mark.parametrize("mode", ["one_pass", "two_pass"])
+def test_repetitions_of_shock_propagation_in_others_change_nothing(device, own, mode):
+    """Their number is one of the settings that can differ between environments."""
+    ends = []
+    for others in (own, 3):
+        sim = simulator(dragging(), device, num_envs=2)
+        sim.set("shock_propagation", mode)
+        sim.set("shock_iterations", [own, others])
+        sim.step(60)
+        ends.append(b"".join(sim.get(name)[0].tobytes() for name in ("position", "linear_velocity", "joint_force")))
+    assert ends[0] == ends[1]
+
+
 def test_joints_are_chosen_by_name(device):
     other = hanging(2)
     other.joints.insert(0, other.joints.pop())

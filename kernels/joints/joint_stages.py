@@ -60,7 +60,7 @@ from warp_rigid.kernels.solve.gauss_seidel import (
 )
 from warp_rigid.kernels.solve.line_search import FIXED_POINT, accepted_share, searched
 from warp_rigid.kernels.solve.restitution import bounce_groups, open_impacts, sweep_impacts
-from warp_rigid.kernels.solve.shock import is_propagated
+from warp_rigid.kernels.solve.shock import has_repetition, is_propagated
 from warp_rigid.kernels.solve.simultaneous_impacts import find_bouncing
 from warp_rigid.kernels.tuning import CONVERGED, PUSH_OUT_CONVERGED, PUSH_OUT_SWEEPS
 from warp_rigid.kernels.update.integrate import rotational_energy
@@ -226,6 +226,7 @@ def warm_start_with_joints(
 @wp.kernel
 def sweep_with_joints(
     after_shock: int,
+    repetition: int,
     dt: float,
     lanes: int,
     envs: Environments,
@@ -238,10 +239,12 @@ def sweep_with_joints(
 ):
     """One team per environment: as `sweep_constraints`, with a direct solution of each mechanism after each sweep.
 
-    After the passes of shock propagation, it is the direct solution alone.
+    After the passes of a repetition of shock propagation, it is the direct solution alone.
     """
     team = team_of(wp.tid(), lanes)
     env = team.env
+    if after_shock == AFTER_PASSES and not has_repetition(repetition, env, envs):
+        return
     unit = motions.velocity_unit[envs.first_body[env]]
     touched = any_touched(team, joints)
     starts = after_shock == 0 and touched * envs.warm_starting[env] == 1
@@ -323,20 +326,22 @@ def sweep_once(
 
 
 @wp.kernel
-def store_joint_start(lanes: int, envs: Environments, graph: Graph, joints: Joints):
-    """One team per environment: store the impulses of joints before shock propagation."""
+def store_joint_start(repetition: int, lanes: int, envs: Environments, graph: Graph, joints: Joints):
+    """One team per environment: store the impulses of joints before a repetition of shock propagation."""
     team = team_of(wp.tid(), lanes)
-    if not is_propagated(team.env, envs, graph):
+    if not has_repetition(repetition, team.env, envs) or not is_propagated(team.env, envs, graph):
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
         joints.start[j] = joints.total[j]
 
 
 @wp.kernel
-def add_energy_of_joints(dt: float, lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints):
+def add_energy_of_joints(
+    repetition: int, dt: float, lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints
+):
     """One team per environment: the contributions of joints to the sums of the line search."""
     team = team_of(wp.tid(), lanes)
-    if not searched(team.env, envs, graph):
+    if not has_repetition(repetition, team.env, envs) or not searched(team.env, envs, graph):
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
         island = island_of_joint(j, motions, joints, graph)
@@ -348,10 +353,10 @@ def add_energy_of_joints(dt: float, lanes: int, envs: Environments, graph: Graph
 
 
 @wp.kernel
-def blend_joints(lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints):
+def blend_joints(repetition: int, lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints):
     """One team per environment: apply the step length of the line search to the impulses of joints."""
     team = team_of(wp.tid(), lanes)
-    if not searched(team.env, envs, graph):
+    if not has_repetition(repetition, team.env, envs) or not searched(team.env, envs, graph):
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
         t = wp.float64(accepted_share(island_of_joint(j, motions, joints, graph), graph))

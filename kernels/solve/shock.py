@@ -52,6 +52,12 @@ SKIPPED = wp.constant(2**30)
 
 
 @wp.func
+def has_repetition(repetition: int, env: int, envs: Environments):
+    """Whether an environment has a repetition of shock propagation, counted from 0: others may have more of them."""
+    return repetition < envs.shock_iterations[env]
+
+
+@wp.func
 def is_propagated(env: int, envs: Environments, graph: Graph):
     """Whether the passes of shock propagation are executed in an environment."""
     return (
