@@ -84,6 +84,7 @@ Paths = layout(
     time=Field(wp.float64, "keyframes", "s", "time of a keyframe"),
     position=Field(wp.vec3d, "keyframes", "m", "position of the origin of the shape's frame"),
     orientation=Field(wp.quatd, "keyframes", "", "orientation of the shape's frame"),
+    turned=Field(wp.vec3d, "keyframes", "rad", "sum of the turns from the first keyframe to this one"),
 )
 
 Bodies = layout(

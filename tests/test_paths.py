@@ -59,6 +59,23 @@ def test_bodies_are_where_their_paths_are(device, dt):
         np.testing.assert_allclose(sim.get("linear_velocity")[0, 3], way / dt, atol=2e-6 / dt)
 
 
+@pytest.mark.parametrize("loop", [False, True], ids=["once", "loop"])
+@pytest.mark.parametrize("turn", [100.0, 170.0, -170.0, 120.0])
+def test_a_rotor_can_turn_by_more_than_half_a_turn_in_a_step(device, turn, loop):
+    """Its velocity is that of the path, not that of the shorter way round; at 120 degrees it turns twice a step."""
+    times, dt = np.arange(37) / 100, 0.06 if turn == 120.0 else 1 / 60
+    turns = [rotate_about((0, 0.6, 0.8), turn * k) for k in range(37)]
+    scene = wr.Scene(gravity=(0, 0, 0))
+    velocity = np.radians(turn) * 100 * np.array([0, 0.6, 0.8])
+    rotor = wr.PosePath(times, np.zeros((37, 3)), turns, loop=loop)
+    scene.add_kinematic(wr.Box((0.3, 0.05, 0.05)), path=rotor, name="rotor")
+    sim = wr.Simulator(scene, settings=wr.Settings(dt=dt), device=device)
+    for _ in range(round((0.6 if loop else 0.35) / dt)):
+        sim.step()
+        np.testing.assert_allclose(sim.get("angular_velocity")[0, 0], velocity, rtol=1e-5, atol=1e-4)
+        assert angle_between(sim.get("orientation")[0, 0].astype(float), rotor.at(sim.time)[1]) < 1e-3
+
+
 @pytest.mark.parametrize("dt", DTS)
 @pytest.mark.parametrize("shock", ["off", "one_pass", "two_pass"])
 def test_a_lift_carries_a_box(device, dt, shock):

@@ -5,12 +5,18 @@ gets the first one, and the velocity that leads to the second one. Rounding erro
 checkpoint or a repeated step needs nothing but the counter.
 """
 
+import math
+
 import warp as wp
 
 from warp_rigid.kernels.schema import Bodies, Environments, Paths, State
 from warp_rigid.kernels.update.integrate import rotation_vector, store_turn
 
 wp.set_module_options({"enable_backward": False})
+
+HALF_TURN = wp.constant(wp.float64(math.pi))
+SAME_ORIENTATION = wp.constant(wp.float64(1e-6))
+"""Angle below which rounding decides the axis of a rotation [rad]."""
 
 
 @wp.func
@@ -71,6 +77,36 @@ def pose_at(k: int, time: wp.float64, paths: Paths):
     return position, turned(paths.orientation[i], share * turn)
 
 
+@wp.func
+def turned_until(k: int, time: wp.float64, paths: Paths):
+    """Sum of the turns on a path until a time, those of its repetitions included [rad]."""
+    t = time_on_path(k, time, paths)
+    i = keyframe_before(k, t, paths)
+    share = (t - paths.time[i]) / (paths.time[i + 1] - paths.time[i])
+    total = paths.turned[i] + share * (paths.turned[i + 1] - paths.turned[i])
+    first = paths.time[paths.first[k]]
+    if paths.loop[k] == 1 and time > first:
+        last = paths.first[k] + paths.count[k] - 1
+        total += wp.round((time - t) / (paths.time[last] - first)) * paths.turned[last]
+    return total
+
+
+@wp.func
+def with_full_turns(rotation: wp.vec3d, turned: wp.vec3d):
+    """The rotation of a step by at most half a turn, with the full turns that its path makes beyond it [rad].
+
+    They are about the same axis, so that the body ends where the path does. A rotation that is almost 0 has no axis;
+    then it is that of the path.
+    """
+    if wp.length(turned) <= HALF_TURN:
+        return rotation
+    axis = wp.normalize(turned)
+    if wp.length(rotation) > SAME_ORIENTATION:
+        axis = wp.normalize(rotation)
+    full = wp.float64(2.0) * HALF_TURN
+    return rotation + full * wp.round((wp.dot(turned, axis) - wp.dot(rotation, axis)) / full) * axis
+
+
 @wp.kernel
 def follow_paths(dt: wp.float64, paths: Paths, bodies: Bodies, envs: Environments, state: State):
     """One thread per path: pose of the body at the start of the step, and its mean velocity in the step."""
@@ -84,7 +120,8 @@ def follow_paths(dt: wp.float64, paths: Paths, bodies: Bodies, envs: Environment
     next_position, next_turn = pose_at(k, time + dt, paths)
     center = wp.vec3d(bodies.center_of_mass[b])
     way = next_position - position
-    rotation = turn_between(turn, next_turn)
+    total = turned_until(k, time + dt, paths) - turned_until(k, time, paths)
+    rotation = with_full_turns(turn_between(turn, next_turn), total)
     if wp.length(rotation) > wp.float64(0.0):
         way += wp.quat_rotate(next_turn, center) - wp.quat_rotate(turn, center)
     state.position[b] = wp.vec3(position)

@@ -249,7 +249,7 @@ def _upload_paths(layout: Layout, device: Any) -> Any:
         "count": np.diff(first)[which][source].astype(np.int32),
         "loop": np.array([path.loop for path in found], np.int32)[source],
     }
-    for name in ("times", "positions", "orientations"):
+    for name in ("times", "positions", "orientations", "turned"):
         keyframes = [getattr(path, name) for path in distinct]
         rows[name.removesuffix("s")] = np.concatenate(keyframes) if keyframes else []
     return declare.upload(schema.Paths, rows, device)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,12 @@ class PosePath:
             np.asarray(rows).tobytes() for rows in (self.times, self.positions, self.orientations, self.loop)
         )
 
+    @cached_property
+    def turned(self) -> np.ndarray:
+        """(n, 3) sums of the rotation vectors from the first keyframe to each [rad]."""
+        turns = [_turn(start, end) for start, end in pairwise(self.orientations)]
+        return np.cumsum([np.zeros(3), *turns], axis=0)
+
     def __eq__(self, other: object) -> bool:
         """Whether all keyframes are equal."""
         return isinstance(other, PosePath) and self.key == other.key
@@ -106,6 +113,13 @@ def _interpolated(start: np.ndarray, end: np.ndarray, fraction: float) -> np.nda
         return start.copy()
     half = fraction * np.arctan2(sine, rotation[3])
     return multiply(np.array([*(np.sin(half) / sine * rotation[:3]), np.cos(half)]), start)
+
+
+def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Rotation vector from an orientation to the next one of a path [rad]."""
+    rotation = multiply(end, inverse(start))
+    sine = np.linalg.norm(rotation[:3])
+    return rotation[:3] * (2.0 * np.arctan2(sine, rotation[3]) / sine if sine else 0.0)
 
 
 def _rows(name: str, value: Sequence | np.ndarray, tail: tuple[int, ...], count: int | None = None) -> np.ndarray:
