@@ -180,6 +180,23 @@ def test_a_body_settles_at_a_sample_after_it_has_stopped():
     assert row["settle_time"] == 0.25
 
 
+def leaving(speed: float = 3.0):
+    """A ball leaves the scene and is removed; a box stands beside it, and bodies of a pool wait high up."""
+    scene = wr.Scene(bounds=((-1, -1, -1), (1, 1, 9)), out_of_bounds="remove")
+    scene.add_static(wr.Plane(), friction=0.5)
+    scene.add_body(wr.Sphere(0.1), position=(0, 0, 0.1), linear_velocity=(speed, 0, 0), friction=0.0)
+    scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0.5, 0.1))
+    scene.add_pool(wr.Sphere(0.1), 2, "spare", position=(0, 0, 5), linear_velocity=(0, 0, -1))
+    return scene
+
+
+def test_bodies_that_are_not_simulated_are_neither_high_nor_fast():
+    """The ball is at 1 m after a third of a second, and keeps its velocity of 3 m/s."""
+    row = quick({"speed": [3.0]}, leaving, duration=1.0, fps=60).rows[0]
+    assert row["settle_time"] == pytest.approx(1 / 3, abs=1 / 60 + 1 / 240)
+    assert row["top_height"] == pytest.approx(0.1, abs=1e-3) and not row["toppled"]
+
+
 def test_a_run_that_fails_is_a_row_and_harms_no_other():
     fixed = {"mass": 1e-3}
     good = values(quick({"force": [(1, 0, 0)]}, fixed=fixed))[0]

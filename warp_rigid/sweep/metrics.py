@@ -25,6 +25,7 @@ class MetricRecorder:
         self.sim, self.metrics = sim, metrics
         self.dynamic = _dynamic_bodies(sim)
         self.start = self.centers()
+        self.present_at_start = self.present()
         self.slow_from = np.zeros(sim.num_envs)
         self.note_speed()
         self.deepest = np.zeros(sim.num_envs)
@@ -34,9 +35,9 @@ class MetricRecorder:
         """Centres of mass, (envs, bodies, 3) [m]."""
         return self.sim.get("center_of_mass").astype(np.float64)
 
-    def highest(self, centers: np.ndarray) -> np.ndarray:
-        """Height of the highest centre of a dynamic body, (envs,) [m]; -infinity if there is none."""
-        return np.where(self.dynamic, centers[..., 2], -np.inf).max(axis=1)
+    def present(self) -> np.ndarray:
+        """Mask of the dynamic bodies that are active, (envs, bodies): others are not simulated, and keep velocities."""
+        return self.dynamic & self.sim.get("active")
 
     def observe(self) -> None:
         """Sample the current state. The sampling times do not depend on the batch."""
@@ -48,7 +49,7 @@ class MetricRecorder:
         """Note since when each environment has been slow."""
         if "settle_time" in self.metrics and self.dynamic.any():
             velocity = self.sim.get("linear_velocity").astype(np.float64)
-            speed = np.where(self.dynamic, np.linalg.norm(velocity, axis=-1), 0.0).max(axis=1)
+            speed = np.where(self.present(), np.linalg.norm(velocity, axis=-1), 0.0).max(axis=1)
             self.slow_from[np.isnan(self.slow_from)] = self.sim.time
             self.slow_from[~(speed < AT_REST)] = np.nan
 
@@ -61,8 +62,8 @@ class MetricRecorder:
         return found
 
     def top_height(self) -> np.ndarray:
-        """Height of the highest centre of mass of a dynamic body [m]."""
-        return self.highest(self.centers())
+        """Height of the highest centre of mass of an active dynamic body [m]; -infinity if there is none."""
+        return _highest(self.centers(), self.present())
 
     def deepest_overlap(self) -> np.ndarray:
         """Maximum penetration between two bodies over all samples [m]."""
@@ -74,7 +75,7 @@ class MetricRecorder:
         return np.where(self.dynamic, moved, 0.0).max(axis=1)
 
     def settle_time(self) -> np.ndarray:
-        """Time of the first sample from which on no dynamic body is faster than AT_REST [s]; NaN if one still is."""
+        """Time of the first sample from which on no active body is faster than AT_REST [s]; NaN if one still is."""
         return self.slow_from
 
     def kinetic_energy(self) -> np.ndarray:
@@ -84,11 +85,11 @@ class MetricRecorder:
     def toppled(self) -> np.ndarray:
         """Whether the highest body ended below half the initial height difference between highest and lowest body.
 
-        False if all bodies start at the same height.
+        False if all bodies start at the same height. Bodies count that are active, at the start and at the end.
         """
-        foot = np.where(self.dynamic, self.start[..., 2], np.inf).min(axis=1)
-        height = self.highest(self.start) - foot
-        return (height > 0.0) & (self.highest(self.centers()) < foot + 0.5 * height)
+        foot = np.where(self.present_at_start, self.start[..., 2], np.inf).min(axis=1)
+        height = _highest(self.start, self.present_at_start) - foot
+        return (height > 0.0) & (_highest(self.centers(), self.present()) < foot + 0.5 * height)
 
     def escaped(self) -> np.ndarray:
         """Number of dynamic bodies that ended outside the initial bounding box by more than its diagonal."""
@@ -164,6 +165,11 @@ def measure(function: Callable, sim: Any) -> np.ndarray:
     if values.shape[:1] != (sim.num_envs,) or values.ndim > 2:
         raise ValueError(f"must return ({sim.num_envs},) or ({sim.num_envs}, n) values, got shape {values.shape}")
     return values
+
+
+def _highest(centers: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Height of the highest centre of some bodies, (envs,) [m]; -infinity if there is none."""
+    return np.where(mask, centers[..., 2], -np.inf).max(axis=1)
 
 
 def _dynamic_bodies(sim: Simulator) -> np.ndarray:
