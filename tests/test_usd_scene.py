@@ -245,6 +245,43 @@ def test_each_environment_has_its_own_values_and_belongs_to_its_own_physics(mixe
                 assert owners == [f"/World/{env}/PhysicsScene"], site
 
 
+def changeable():
+    """A driven arm, a ball on a cord, a wind, and a pool."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(), name="ground")
+    arm = scene.add_body(wr.Box((0.2, 0.03, 0.03)), position=(0.2, 0, 1), mass=1.0, name="arm")
+    hinge = scene.add_joint(wr.RevoluteJoint((0, 1, 0), limits=(-1.2, 1.0)), arm, anchor=(0, 0, 1), name="hinge")
+    scene.add_drive(hinge, stiffness=5.0, damping=0.3)
+    ball = scene.add_body(wr.Sphere(0.05), position=(2, 0, 1), mass=0.2, name="ball")
+    scene.add_joint(wr.SphericalJoint(), ball, anchor=(2, 0, 1.5), name="cord")
+    scene.add_joint(wr.PrismaticJoint((0, 0, 1)), "ball", "arm", name="slide", break_force=900.0)
+    scene.add_force_field(wr.DragField(drag=0.1))
+    scene.add_force_field(wr.UniformField(acceleration=(0, 0, 0)))
+    scene.add_pool(wr.Sphere(0.1), 2, "spare", position=(4, 0, 1))
+    return scene
+
+
+def test_what_was_set_before_the_recording_comes_back(tmp_path):
+    """Values of joints and force fields, and which bodies are active, as well as masses: the motion is the same."""
+    sim = wr.Simulator(changeable(), num_envs=2, device="cpu")
+    sim.set("joint_broken", True, joints=["slide"])
+    for name, value in (("target_position", 0.6), ("stiffness", 60.0), ("upper", 0.4), ("friction", 0.2)):
+        sim.set(f"joint_{name}", value, envs=[1], joints=["hinge"])
+    sim.set("joint_damping", 0.02, envs=[1], joints=["cord"])
+    sim.set("field_acceleration", [[(0, 0, 0), (1, 2, 0)]], envs=[1])
+    sim.set("field_drag", [[0.5, 0.0]], envs=[1])
+    sim.set("active", True, envs=[1], bodies=["spare_1"])
+    recording = wr.record(sim, frames=30, fps=60)
+    wr.export_usd(recording, tmp_path / "two.usda", profile="scene")
+    for env in range(2):
+        back = wr.import_usd(tmp_path / "two.usda", f"/World/env_{env:04}")
+        assert [body.active for body in back.bodies] == [True, True, True, False, env == 1]
+        assert str(back.import_report).endswith("slide: left out: the joint is disabled")
+        again = wr.record(wr.Simulator(back, device="cpu"), frames=30, fps=60)
+        np.testing.assert_allclose(again.position[:, 0], recording.position[:, env], rtol=0, atol=2e-6)
+    assert np.abs(recording.position[-1, 0] - recording.position[-1, 1]).max() > 0.1
+
+
 @pytest.mark.parametrize("frame", [0, 7, 24])
 def test_poses_over_time_are_the_recordings(frame, tmp_path):
     scene = wr.Scene()

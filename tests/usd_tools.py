@@ -3,6 +3,8 @@
 import numpy as np
 from pxr import Sdf, Usd, UsdValidation
 
+from warp_rigid.engine.quantities import owner_of
+from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.recording import Recorder
 
 
@@ -14,6 +16,8 @@ class Resting:
         self.scenes, self.scene_of = [scene], np.zeros(num_envs, dtype=int)
 
     def get(self, name):
+        if owner_of(name) in ("joints", "fields"):
+            return Simulator(self.scene, self.num_envs, device="cpu").get(name)
         if name == "gravity":
             rows = np.array(self.scene.gravity)
         elif name in ("asleep", "level"):

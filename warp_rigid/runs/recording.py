@@ -14,7 +14,8 @@ import numpy as np
 from warp_rigid import progress_bar
 from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.display import Inline, film_of, html_of
-from warp_rigid.engine.quantities import is_of_bodies
+from warp_rigid.engine import field_values, joint_quantities
+from warp_rigid.engine.quantities import owner_of
 from warp_rigid.engine.selection import Indices, env_indices
 from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.extras import need
@@ -39,8 +40,8 @@ VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
 """Quantities recorded on request."""
 RECORDED_UNITS = {"time": "s", "position": "m", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
 VALUE_SHAPES = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
-START = (*VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES, "gravity")
-"""Quantities recorded in the first frame only."""
+START = (*VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES, "active", "gravity")
+"""Quantities recorded in the first frame only, besides those of joints and force fields."""
 CONTACTS = {name: f"contact_{name}" for name in CONTACT_RECORD.names or ()}
 """Archive members for the contact fields, concatenated over frames."""
 
@@ -80,7 +81,8 @@ class Recording:
         angular_velocity: (frames + 1, envs, bodies, 3) float32, in the world frame [rad/s]; None if not recorded.
         contacts: per frame the records of Simulator.contacts; None if not recorded.
         scene: the simulated scene; None in a recording read from a file.
-        start: (envs, bodies, ...) quantities of the first frame by name (see START); empty if read from a file.
+        start: (envs, bodies, ...) quantities of the first frame by name (see START), and those of joints (envs, joints)
+            and force fields (envs, fields, ...); empty if read from a file.
         camera: where pictures are taken from, with the index of the body that it follows; None for a camera that keeps
             the moving bodies in view.
         looks: Look of bodies by their index.
@@ -306,7 +308,7 @@ class Recorder:
         camera = self._scene.camera if camera is None else camera
         names = [body.name for body in self._scene.bodies]
         self._camera = None if camera is None else with_body_index(camera, names)
-        self._start = {name: self._rows(sim, name, np.float32) for name in START}
+        self._start = {name: self._rows(sim, name, np.float32) for name in _at_start(self._scene)}
         self._frames: list[Frame] = []
 
     def snapshot(self, sim) -> Frame:
@@ -319,9 +321,11 @@ class Recorder:
         )
 
     def _rows(self, sim, name: str, dtype) -> np.ndarray:
-        """A quantity of the recorded environments, without the bodies that only other scenes have."""
+        """A quantity of the recorded environments, without the bodies, joints and fields that only others have."""
         values = np.asarray(sim.get(name), dtype=dtype)[self.envs]
-        return values[:, : len(self._scene.bodies)] if is_of_bodies(name) else values
+        scene, owner = self._scene, owner_of(name)
+        counts = {"bodies": len(scene.bodies), "joints": len(scene.joints), "fields": len(scene.force_fields)}
+        return values[:, : counts[owner]] if owner in counts else values
 
     def capture(self, sim) -> None:
         """Append the current state as a frame."""
@@ -373,6 +377,12 @@ class Recorder:
 
     def _contact_frames(self) -> tuple[np.ndarray, ...]:
         return tuple(frame.contacts for frame in self._frames if frame.contacts is not None)
+
+
+def _at_start(scene: Scene) -> list[str]:
+    """Names of the quantities of a scene that are recorded in the first frame only."""
+    of_fields = {field_values.PREFIX + name: None for field in scene.force_fields for name in type(field).parameters()}
+    return [*START, *(joint_quantities.WRITABLE if scene.joints else ()), *of_fields]
 
 
 def _common_scene(sim, envs: np.ndarray) -> Scene:

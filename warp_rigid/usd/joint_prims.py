@@ -13,7 +13,7 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdPhysics
 
 from warp_rigid import rotations
-from warp_rigid.kernels.enums import Coordinate
+from warp_rigid.kernels.enums import Coordinate, JointNumber
 from warp_rigid.scene.joints import (
     DistanceJoint,
     FixedJoint,
@@ -29,6 +29,7 @@ from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.conventions import MARK, custom_data, gf_quaternion, lineage, quaternion_of_matrix
 from warp_rigid.usd.masses import SHARE, insert_links, positive, stated_center, states_no_mass, with_point_mass
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
+from warp_rigid.usd.start_values import JointValues
 from warp_rigid.usd.usd_file import JOINT_KINDS, Types, UsdFile
 
 NAMES = Sdf.ValueTypeNames
@@ -362,64 +363,68 @@ def _range(limit: Any, unit: float, start: float) -> tuple[float, float] | None:
     return low * unit - start, high * unit - start
 
 
-def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, paths: list[str]) -> None:
+def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, values: JointValues, paths: list[str]) -> None:
     """Define a joint.
 
     Args:
         layer: receives the prim.
         path: of the prim.
         entry: the joint.
+        values: its values, which can differ from those of the entry.
         paths: paths of the bodies.
     """
-    drive = entry.drive if entry.joint.coordinate != Coordinate.CONE else None
-    angular = entry.joint.coordinate == Coordinate.ANGLE
-    kind = "angular" if angular else "linear"
-    schemas = [f"PhysicsDriveAPI:{kind}"] * (drive is not None) + ["NewtonJointAPI"] * (entry.armature > 0.0)
+    numbers, coordinate = values.numbers, entry.joint.coordinate
+    kind = "angular" if coordinate == Coordinate.ANGLE else "linear"
+    has_motor = entry.drive is not None or numbers[JointNumber.STIFFNESS] > 0.0 or numbers[JointNumber.DAMPING] > 0.0
+    is_driven = has_motor and coordinate not in (Coordinate.NONE, Coordinate.CONE)
+    armature = numbers[JointNumber.ARMATURE]
+    schemas = [f"PhysicsDriveAPI:{kind}"] * is_driven + ["NewtonJointAPI"] * (armature > 0.0)
     prim = define(layer, path, f"Physics{type(entry.joint).__name__}", schemas)
-    if entry.armature > 0.0:
-        set_attribute(prim, "newton:armature", NAMES.Float, entry.armature)
+    if armature > 0.0:
+        set_attribute(prim, "newton:armature", NAMES.Float, armature)
     for end, body, frame in (("0", entry.body_b, entry.frame_b), ("1", entry.body_a, entry.frame_a)):
         if body is not None:
             set_relationship(prim, f"physics:body{end}", paths[body])
         set_attribute(prim, f"physics:localPos{end}", NAMES.Point3f, Gf.Vec3f(*frame.position))
         set_attribute(prim, f"physics:localRot{end}", NAMES.Quatf, gf_quaternion(frame.orientation))
     set_attribute(prim, "physics:collisionEnabled", NAMES.Bool, entry.collide)
-    set_attribute(prim, "physics:breakForce", NAMES.Float, entry.break_force)
-    set_attribute(prim, "physics:breakTorque", NAMES.Float, entry.break_torque)
-    _write_limits(prim, entry.joint)
-    damping = entry.drive.damping if entry.drive is not None and drive is None else 0.0
-    own = {"friction": entry.joint.resistance, "damping": damping}
+    if values.broken:
+        set_attribute(prim, "physics:jointEnabled", NAMES.Bool, False)
+    set_attribute(prim, "physics:breakForce", NAMES.Float, numbers[JointNumber.BREAK_FORCE])
+    set_attribute(prim, "physics:breakTorque", NAMES.Float, numbers[JointNumber.BREAK_TORQUE])
+    _write_limits(prim, coordinate, numbers[JointNumber.LOWER], numbers[JointNumber.UPPER])
+    damping = numbers[JointNumber.DAMPING] if has_motor and not is_driven else 0.0
+    own = {"friction": numbers[JointNumber.FRICTION], "damping": damping}
     if any(own.values()):
         prim.SetInfo("customData", {MARK: {name: value for name, value in own.items() if value > 0.0}})
-    if drive is not None:
-        unit = math.pi / 180.0 if angular else 1.0
-        values = {
-            "stiffness": drive.stiffness * unit,
-            "damping": drive.damping * unit,
-            "maxForce": drive.max_force,
-            "targetPosition": drive.target_position / unit,
-            "targetVelocity": drive.target_velocity / unit,
+    if is_driven:
+        unit = math.pi / 180.0 if coordinate == Coordinate.ANGLE else 1.0
+        drive = {
+            "stiffness": numbers[JointNumber.STIFFNESS] * unit,
+            "damping": numbers[JointNumber.DAMPING] * unit,
+            "maxForce": numbers[JointNumber.MAX_FORCE],
+            "targetPosition": numbers[JointNumber.TARGET_POSITION] / unit,
+            "targetVelocity": numbers[JointNumber.TARGET_VELOCITY] / unit,
         }
-        for name, value in values.items():
+        for name, value in drive.items():
             set_attribute(prim, f"drive:{kind}:physics:{name}", NAMES.Float, value)
 
 
-def _write_limits(prim: Sdf.PrimSpec, joint: Joint) -> None:
+def _write_limits(prim: Sdf.PrimSpec, coordinate: Coordinate, low: float, high: float) -> None:
     """Write the axis and the limits of a joint."""
-    if joint.coordinate == Coordinate.NONE:
+    if coordinate == Coordinate.NONE:
         return
-    low, high = joint.range
-    if joint.coordinate == Coordinate.LENGTH:
+    if coordinate == Coordinate.LENGTH:
         set_attribute(prim, "physics:minDistance", NAMES.Float, low if math.isfinite(low) else -1.0)
         set_attribute(prim, "physics:maxDistance", NAMES.Float, high if math.isfinite(high) else -1.0)
         return
     set_attribute(prim, "physics:axis", NAMES.Token, "X", uniform=True)
-    if joint.coordinate == Coordinate.CONE:
+    if coordinate == Coordinate.CONE:
         angle = math.degrees(high) if math.isfinite(high) else -1.0
         for k in (0, 1):
             set_attribute(prim, f"physics:coneAngle{k}Limit", NAMES.Float, angle)
         return
-    unit = math.pi / 180.0 if joint.coordinate == Coordinate.ANGLE else 1.0
+    unit = math.pi / 180.0 if coordinate == Coordinate.ANGLE else 1.0
     if math.isfinite(low) or math.isfinite(high):
         set_attribute(prim, "physics:lowerLimit", NAMES.Float, low / unit)
         set_attribute(prim, "physics:upperLimit", NAMES.Float, high / unit)

@@ -233,6 +233,7 @@ class Reader:
                 position=position,
                 orientation=quaternion_of_matrix(rotation),
                 name=body.prim.GetDisplayName() or body.prim.GetName(),
+                active=custom_data(body.prim).get("active", True),
                 **self._velocities(body.prim, rotation, shape.center_of_mass),
             )
         except ValueError as error:
@@ -251,6 +252,7 @@ class Reader:
             "position": position + rotation @ place_in_body,
             "orientation": quaternion_of_matrix(rotation @ turn),
             "name": body.prim.GetDisplayName() or body.prim.GetName(),
+            "active": custom_data(body.prim).get("active", True),
             **group[0].coefficients,
         }
         if any(collider.coefficients != group[0].coefficients for collider in group):

@@ -1,6 +1,7 @@
 """The scene profile: one Xform per body, with UsdPhysics."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -11,6 +12,7 @@ from warp_rigid.render.appearance import drawn_looks, frame_colors
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs.recording import Frame
 from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.scene.fields import ForceField
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, unique_name
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import CONSTANT_COLORINGS
@@ -20,6 +22,7 @@ from warp_rigid.usd.joint_prims import write_joint
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.specs import Track, WrittenEnv, define, set_attribute, set_relationship, vec3f
+from warp_rigid.usd.start_values import fields_at_start, joints_at_start
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, write_surface_motion
 
 NAMES = Sdf.ValueTypeNames
@@ -44,7 +47,8 @@ class Bodies:
         self._tracks: dict[str, list[Track]] = {"place": [], "orientation": [], "color": []}
         self._paths: list[str] = []
         scene, start = film.scene, film.start
-        _write_scene(samples.layer, f"{root}/{PHYSICS_SCENE}", scene, start["gravity"][self._row])
+        fields = fields_at_start(scene, start, row)
+        _write_scene(samples.layer, f"{root}/{PHYSICS_SCENE}", scene, start["gravity"][row], fields)
         self._position = frame.position[self._row].copy()
         self._orientation = frame.orientation[self._row].copy()
         self._colors = frame_colors(self._color, self._film, self._row, frame)
@@ -69,9 +73,9 @@ class Bodies:
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             self._paths.append(f"{root}/{name}")
         self._write_filtered_pairs(scene)
-        for entry in scene.joints:
+        for entry, values in zip(scene.joints, joints_at_start(scene, start, row), strict=True):
             name = unique_name(Tf.MakeValidIdentifier(entry.name), taken)
-            write_joint(samples.layer, f"{root}/{name}", entry, self._paths)
+            write_joint(samples.layer, f"{root}/{name}", entry, values, self._paths)
             if name != entry.name:
                 samples.layer.GetPrimAtPath(f"{root}/{name}").SetInfo("displayName", entry.name)
 
@@ -106,7 +110,8 @@ class Bodies:
         if np.any(surface):
             write_surface_motion(prim, *surface)
         follows = {} if body.path is None else {FOLLOWS_PATH: True}
-        prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower(), **follows}})
+        off = {} if start["active"][row, index] else {"active": False}
+        prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower(), **follows, **off}})
         place, orientation = write_pose(prim, self._position[index], self._orientation[index])
         hue = set_attribute(
             prim, "primvars:displayColor", NAMES.Color3fArray, vec3f([self._colors[index]]), interpolation="constant"
@@ -159,7 +164,7 @@ class Bodies:
             self._colors = colors
 
 
-def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray) -> None:
+def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray, fields: Sequence[ForceField]) -> None:
     """Write gravity, and as custom data the combine modes and force fields, which UsdPhysics does not define."""
     prim = define(layer, path, "PhysicsScene")
     strength = math.hypot(*(float(x) for x in gravity))
@@ -167,7 +172,7 @@ def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray)
     set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, vec3f([direction])[0])
     set_attribute(prim, "physics:gravityMagnitude", NAMES.Float, strength)
     rules = {"frictionCombine": scene.friction_combine, "restitutionCombine": scene.restitution_combine}
-    prim.SetInfo("customData", {MARK: rules | fields_to_data(scene.force_fields)})
+    prim.SetInfo("customData", {MARK: rules | fields_to_data(fields)})
 
 
 def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:

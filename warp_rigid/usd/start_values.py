@@ -1,0 +1,62 @@
+"""Values of a scene at the start of a recording: those that a program has set, and the scene's own elsewhere."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from warp_rigid.engine.field_values import PREFIX
+from warp_rigid.engine.joints import numbers_of
+from warp_rigid.kernels.enums import JointNumber
+from warp_rigid.scene.fields import ForceField
+from warp_rigid.scene.scene import Scene
+
+
+class JointValues(NamedTuple):
+    """Values of a joint.
+
+    Attributes:
+        numbers: by JointNumber.
+        broken: whether it has no effect.
+    """
+
+    numbers: dict[JointNumber, float]
+    broken: bool
+
+
+def joints_at_start(scene: Scene, start: Mapping[str, np.ndarray], row: int) -> list[JointValues]:
+    """Values of the joints of a recorded environment.
+
+    Args:
+        scene: the recorded scene.
+        start: quantities of the first frame, see `Recording`.
+        row: of the environment.
+    """
+    found = []
+    for k, entry in enumerate(scene.joints):
+        own = zip(JointNumber, numbers_of(entry), strict=True)
+        numbers = {number: _kept(value, start[f"joint_{number.name.lower()}"][row, k]) for number, value in own}
+        found.append(JointValues(numbers, bool(start["joint_broken"][row, k])))
+    return found
+
+
+def fields_at_start(scene: Scene, start: Mapping[str, np.ndarray], row: int) -> list[ForceField]:
+    """The force fields of a recorded environment; arguments as for `joints_at_start`."""
+    found = []
+    for k, field in enumerate(scene.force_fields):
+        now = {name: start[PREFIX + name][row, k] for name in type(field).parameters()}
+        own = field.values()
+        found.append(type(field)(**{name: _kept_of_field(own[name], now[name]) for name in now}))
+    return found
+
+
+def _kept_of_field(own: Any, now: np.ndarray) -> float | tuple[float, ...]:
+    """A number or vector of a field."""
+    if isinstance(own, tuple):
+        return tuple(_kept(*pair) for pair in zip(own, now, strict=True))
+    return _kept(own, now)
+
+
+def _kept(own: float, now: Any) -> float:
+    """The scene's value, of which the simulator has only single precision, or the one that was set since."""
+    return own if np.float32(own) == now else float(now)
