@@ -282,6 +282,16 @@ def test_what_was_set_before_the_recording_comes_back(tmp_path):
     assert np.abs(recording.position[-1, 0] - recording.position[-1, 1]).max() > 0.1
 
 
+@pytest.mark.parametrize("suffix", [".usdc", ".usda"])
+def test_bounds_come_back(tmp_path, suffix):
+    """With what happens to a body that leaves them; where there is no bound, they are infinite."""
+    scene = wr.Scene(bounds=((-1, -2, -np.inf), (1, 2, np.inf)), out_of_bounds="remove")
+    scene.add_body(wr.Sphere(0.1))
+    wr.export_usd(start_of(scene), tmp_path / f"film{suffix}")
+    back = wr.import_usd(tmp_path / f"film{suffix}", strict=True)
+    assert (back.bounds, back.out_of_bounds) == (scene.bounds, "remove")
+
+
 @pytest.mark.parametrize("frame", [0, 7, 24])
 def test_poses_over_time_are_the_recordings(frame, tmp_path):
     scene = wr.Scene()

@@ -29,7 +29,7 @@ from warp_rigid.usd.masses import (
 )
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.preview_surface import read_look
-from warp_rigid.usd.prims import convert_prim, matrix_of
+from warp_rigid.usd.prims import convert_prim, custom_array, matrix_of
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
 from warp_rigid.usd.usd_file import COLLIDERS, JOINT_KINDS, Types, UsdFile
 
@@ -162,6 +162,8 @@ class Reader:
             gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
             friction_combine=custom.get("frictionCombine", "max" if of_mujoco else "min"),
             restitution_combine=custom.get("restitutionCombine", "min"),
+            bounds=tuple(custom_array(custom, "bounds", (2, 3))) if "bounds" in custom else None,
+            out_of_bounds=custom.get("outOfBounds", "report"),
         )
         for force_field in fields_from_data(custom):
             scene.add_force_field(force_field)

@@ -165,13 +165,15 @@ class Bodies:
 
 
 def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray, fields: Sequence[ForceField]) -> None:
-    """Write gravity, and as custom data the combine modes and force fields, which UsdPhysics does not define."""
+    """Write gravity, and as custom data what UsdPhysics does not define: combine modes, bounds and force fields."""
     prim = define(layer, path, "PhysicsScene")
     strength = math.hypot(*(float(x) for x in gravity))
     direction = np.asarray(gravity, dtype=np.float64) / strength if strength > 0.0 else np.array([0.0, 0.0, -1.0])
     set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, vec3f([direction])[0])
     set_attribute(prim, "physics:gravityMagnitude", NAMES.Float, strength)
-    rules = {"frictionCombine": scene.friction_combine, "restitutionCombine": scene.restitution_combine}
+    rules: dict[str, Any] = {"frictionCombine": scene.friction_combine, "restitutionCombine": scene.restitution_combine}
+    if scene.bounds is not None:
+        rules |= {"bounds": Vt.DoubleArray(np.ravel(scene.bounds).tolist()), "outOfBounds": scene.out_of_bounds}
     prim.SetInfo("customData", {MARK: rules | fields_to_data(fields)})
 
 
