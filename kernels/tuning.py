@@ -22,7 +22,9 @@ COMPARABLE = wp.constant(100.0)
 ones."""
 
 EVEN = wp.constant(4.0)
-"""Largest ratio of masses in an even pile, which is solved by sweeps alone while it moves."""
+"""Largest ratio of masses in an even pile, which is solved by sweeps alone while it moves, and without further ones.
+With these, uneven piles overlap half as much: 32 boxes, some of 200 times the mass, by 4 instead of 8 mm while they
+land; in a step they gain 2e-5 of their energy at most, instead of 5e-4."""
 
 BUSY = wp.constant(0.25)
 """Speed of a body from which an even pile is solved by sweeps alone, in sizes of the body per second. With 0.05, boxes

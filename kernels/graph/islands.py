@@ -9,9 +9,9 @@ which rounds converge slowly, are solved in sweeps with shock propagation (shock
 that differ much, with a body in very many pairs, and few bodies that bounce.
 
 An island is a pile if most of its bodies have fallen there, and a structure if they were placed where they are. The
-impulses of a pile converge over several steps. Those of a structure must balance its load in each step. The load of a
-pile that moves has no order, and the line search accepts little of shock propagation. Such a pile is solved by sweeps
-alone, unless the masses of its bodies differ much.
+impulses of a pile of similar masses converge over several steps. Those of other islands must be found in each step. The
+load of such a pile that moves has no order, and the line search accepts little of shock propagation. It is solved by
+sweeps alone.
 """
 
 import warp as wp
@@ -196,16 +196,19 @@ def height_of(island: int, graph: Graph):
 
 @wp.func
 def is_even_pile(island: int, graph: Graph):
-    """Whether an island is a pile of bodies of similar mass, and not a stack, in which each body is on one other."""
-    if graph.needs_sweeps[island] == 1 or mass_ratio(island, graph) > EVEN:
-        return False
-    return is_pile(island, graph) and graph.island_pairs[island] >= 2 * graph.island_bodies[island]
+    """Whether an island is a pile of bodies of similar mass."""
+    return is_pile(island, graph) and mass_ratio(island, graph) <= EVEN
 
 
 @wp.func
 def has_no_order(island: int, graph: Graph):
-    """Whether the load of an island has no order that shock propagation could follow: in an even pile that moves."""
-    return is_even_pile(island, graph) and graph.island_speed[island] > BUSY
+    """Whether the load of an island has no order that shock propagation could follow.
+
+    That is an even pile that moves, and is not a stack, in which each body is on one other.
+    """
+    if graph.needs_sweeps[island] == 1 or not is_even_pile(island, graph):
+        return False
+    return graph.island_pairs[island] >= 2 * graph.island_bodies[island] and graph.island_speed[island] > BUSY
 
 
 @wp.func
@@ -222,10 +225,11 @@ def solver_of(island: int, mode: int, crowded: bool, graph: Graph):
 
 @wp.func
 def most_rounds(island: int, iterations: int, graph: Graph):
-    """Maximum number of rounds for an island."""
+    """Maximum number of rounds for an island; they converge with the root of the ratio of masses."""
     path = wp.max(wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0), height_of(island, graph))
     if is_pile(island, graph):
-        return int(float(iterations) * (PILE_ROUNDS + PILE_ROUNDS_PER_BODY * path))
+        more = wp.sqrt(wp.max(mass_ratio(island, graph) / EVEN, 1.0))
+        return int(float(iterations) * (PILE_ROUNDS + PILE_ROUNDS_PER_BODY * path) * more)
     least = wp.where(graph.island_speed[island] > HARDLY, STRUCTURE_ROUNDS, STRUCTURE_ROUNDS_AT_REST)
     return int(float(iterations) * (least + STRUCTURE_ROUNDS_PER_BODY * path))
 
@@ -259,7 +263,7 @@ def most_further_sweeps(b: int, island: int, solver: int, dt: float, env: int, e
     if graph.touching[b] == 0 or graph.tied[b] == 1 or solver == IslandSolver.ROUNDS:
         return 0
     count = graph.island_bodies[island]
-    if is_pile(island, graph):
+    if is_even_pile(island, graph):
         return 0
     gained = dt * wp.length(envs.gravity[env])
     resting = wp.max(RESTING, RESTING_SHARE * gained / graph.island_size[island])
