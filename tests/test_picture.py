@@ -196,7 +196,7 @@ def test_a_hollow_body_is_cut_open_and_a_solid_one_is_not():
             scene.add_body(Sphere(RADIUS), position=place)
         film = replace(film_of(scene, 1), camera=Camera.orbit(-90.0, 5.0))
         caster = RayCaster(film, CameraPath([film], [0], 160, 90).at(0))
-        assert (caster._instances.cut.numpy()[0] == CUT) == shows
+        assert (caster._cut[0] == CUT) == shows
         if shows:
             assert is_colourful(caster.draw(0, 160, 90) / 255.0).mean() > 0.01
 

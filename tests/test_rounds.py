@@ -255,7 +255,7 @@ def uneven_pile(bodies, envs, ratio, device):
 
 
 def test_the_boxes_of_an_uneven_heap_hardly_overlap(device):
-    """The rounds of a heap increase with the ratio of its masses: the mean of the deepest overlaps is 0.5, else 2 mm."""
+    """The rounds of a heap increase with the ratio of its masses: deepest overlaps are 0.5 mm on average, else 2 mm."""
     sim, _ = uneven_pile(150, 3, 90.0, device)
     deepest = []
     for _ in range(30):

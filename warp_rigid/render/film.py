@@ -25,7 +25,8 @@ from warp_rigid.scene.camera import Camera, camera_of_text
 from warp_rigid.scene.scene import Motion
 
 INSTANCE_AXES = {
-    "mesh": 0, "color": -2, "position": 1, "orientation": 1, "env": 0, "body": 0, "motion": 0, "gloss": 0, "image": 0,
+    "mesh": 0, "color": -2, "position": 1, "orientation": 1, "present": 1,
+    "env": 0, "body": 0, "motion": 0, "gloss": 0, "image": 0,
 }  # fmt: skip
 """The arrays of a Film with an entry for each instance, and their axis of instances."""
 
@@ -64,6 +65,7 @@ class Film:
         color: (instances, 3) float32, linear RGB; or (frames, instances, 3) if colours change.
         position: (frames, instances, 3) float32 [m].
         orientation: (frames, instances, 4) float32, unit quaternions (x, y, z, w).
+        present: (frames, instances) bool; others are not drawn.
         fps: frames per simulated second.
         env: (instances,) index of the environment.
         offset: (envs, 3) translation of the environments [m].
@@ -81,6 +83,7 @@ class Film:
     color: np.ndarray
     position: np.ndarray
     orientation: np.ndarray
+    present: np.ndarray
     fps: float
     env: np.ndarray
     offset: np.ndarray
@@ -151,6 +154,7 @@ def film_from_recording(recording: Recording) -> Film:
         color=np.tile(body_colors(recording.motion, recording.looks), (envs, 1)),
         position=(recording.position + offsets[:, None]).reshape(frames, envs * bodies, 3),
         orientation=recording.orientation.reshape(frames, envs * bodies, 4),
+        present=recording.active.reshape(frames, envs * bodies),
         fps=recording.fps,
         env=np.repeat(np.arange(envs), bodies),
         offset=offsets,
@@ -250,6 +254,7 @@ def _film_of_stage(stage) -> Film:
                 "color": colors,
                 "position": positions.astype(np.float32).reshape(*shape, 3) + offset[index].astype(np.float32),
                 "orientation": turns.reshape(*shape, 4),
+                "present": _read_presence(group, body, frames),
                 "env": np.full(len(body), index),
                 "body": body,
                 "motion": np.full(len(body), motions.get(str(custom_data(group).get("motion")), Motion.STATIC)),
@@ -341,6 +346,17 @@ def _read_gloss(prim, count: int) -> np.ndarray:
         if primvar.HasValue():
             gloss[:, column] = np.array(primvar.Get(), np.float32)
     return gloss
+
+
+def _read_presence(group, body: np.ndarray, frames) -> np.ndarray:
+    """Which bodies of a group are visible at some time codes, (frames, bodies)."""
+    several = group.HasAttribute("protoIndices")
+    attribute = group.GetAttribute("invisibleIds" if several else "visibility")
+    if not attribute.HasAuthoredValue():
+        return np.ones((len(frames), len(body)), bool)
+    values = [attribute.Get(frame) for frame in frames]
+    hidden = [np.isin(body, value) if several else np.full(len(body), value == "invisible") for value in values]
+    return ~np.stack(hidden)
 
 
 def _read(attribute, frames) -> np.ndarray:

@@ -282,9 +282,10 @@ def points_to_see(film: Film, frames) -> np.ndarray:
     corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])[film.mesh]
     flat = film.flat
     chosen = ((film.moving | film.dynamic) & ~flat, ~flat, np.ones_like(flat))
-    moving = next(mask for mask in chosen if mask.any())
+    moving = next(mask for mask in chosen if (mask & film.present[list(frames)]).any())
 
     def placed(chosen, frame):
+        chosen = chosen & film.present[frame]
         rotated = rotate(film.orientation[frame][chosen, None], corners[chosen])
         return rotated + film.position[frame][chosen, None]
 
@@ -298,7 +299,7 @@ def points_to_see(film: Film, frames) -> np.ndarray:
     room = LONELY_ROOM * own * min(1.0, own / max(size, 1e-9))
     points = np.concatenate([points + room * np.array((*side, 0.0)) for side in SIDES])
 
-    others = ~moving & ~flat
+    others = ~moving & ~flat & film.present[frames[0]]
     still = placed(others, frames[0])
     lower, upper = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     apart = np.maximum(still.min(axis=1) - upper, lower - still.max(axis=1)).clip(min=0.0)

@@ -75,6 +75,10 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
                 file.animate(node, "translation", time, file.numbers(places, "VEC3"))
             if (turns != turns[0]).any():
                 file.animate(node, "rotation", time, file.numbers(turns, "VEC4"))
+            if not recording.active[:, row, body].all():
+                scales = np.repeat(recording.active[:, row, body, None], 3, axis=1).astype(np.float32)
+                file.scale(node, scales[0].tolist())
+                file.animate(node, "scale", time, file.numbers(scales, "VEC3"), "STEP")
     with atomic_file(path) as temporary:
         file.save(temporary)
 
@@ -102,6 +106,10 @@ class _Assembly:
         if parent is not None:
             self._gltf.nodes[parent].children.append(index)
         return index
+
+    def scale(self, node: int, factors: list[float]) -> None:
+        """Scale a node at the start."""
+        self._gltf.nodes[node].scale = factors
 
     def numbers(self, values: np.ndarray, kind: str, bounds: bool = False, target: int | None = None) -> int:
         """Add an array; returns the index of its accessor."""
@@ -188,10 +196,10 @@ class _Assembly:
         options = {"doubleSided": True, "alphaCutoff": None, "alphaMode": "OPAQUE"}
         return _added(self._gltf.materials, self._library.Material(pbrMetallicRoughness=shading, **options))
 
-    def animate(self, node: int, path: str, time: int, values: int) -> None:
-        """Animate the translation or rotation of a node."""
+    def animate(self, node: int, path: str, time: int, values: int, interpolation: str = "LINEAR") -> None:
+        """Animate the translation, rotation or scale of a node."""
         library = self._library
-        sampler = library.AnimationSampler(input=time, output=values, interpolation="LINEAR")
+        sampler = library.AnimationSampler(input=time, output=values, interpolation=interpolation)
         index = _added(self._animation.samplers, sampler)
         target = library.AnimationChannelTarget(node=node, path=path)
         self._animation.channels.append(library.AnimationChannel(sampler=index, target=target))

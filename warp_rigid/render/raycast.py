@@ -366,7 +366,6 @@ class RayCaster:
             self._instances.textures = textures_of(film)
             normals = np.concatenate([mesh.normals for mesh in film.meshes])
             self._instances.normals = wp.array(normals, dtype=wp.vec3)
-            self._instances.cut = wp.zeros(len(flat), dtype=int)
             self._add_planes(endless_planes(film))
             self._cut_away(~film.moving & ~flat & ~waving)
 
@@ -401,12 +400,10 @@ class RayCaster:
         self._instances.plane = wp.array(chosen, dtype=int)
         self._instances.plane_normal = wp.array(normal, dtype=wp.vec3)
         self._instances.plane_offset = wp.array((normal * place).sum(axis=1), dtype=float)
-        self._removed = np.where(endless, REMOVED, WHOLE)
+        self._cut = np.where(endless, REMOVED, WHOLE)
 
     def _cut_away(self, fixed: np.ndarray) -> None:
         """Cut away fixed bodies that hide more than HIDDEN_PART of the moving bodies."""
-        cut = self._removed.copy()
-        self._instances.cut = wp.array(cut, dtype=int)
         candidates = np.flatnonzero(fixed)
         times = self._film.position[:: max(1, self._film.num_frames // HIDDEN_TIMES), self._film.moving]
         places = times.reshape(-1, 3)
@@ -422,15 +419,14 @@ class RayCaster:
                 thin = size[0] < WALL_THICKNESS * size[1]
                 if thin and hiding[k].mean() * len(self._film.labels) > HIDDEN_PART:
                     # A kinematic wall, such as a gate, is part of what happens, even if it does not move in this film.
-                    cut[i] = REMOVED if self._film.motion[i] == Motion.STATIC else WHOLE
+                    self._cut[i] = REMOVED if self._film.motion[i] == Motion.STATIC else WHOLE
                 elif not thin and hiding[k].reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
                     inside = self._mostly_inside(i, times)
                     if (hiding[k] & inside).reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
-                        cut[i] = CUT
+                        self._cut[i] = CUT
             toward = np.array(self._camera.forward) * (-1.0, -1.0, 0.0)
             self._instances.section_normal = wp.vec3(*(toward / max(np.linalg.norm(toward), 1e-9)))
             self._instances.section_point = wp.vec3(*np.median(places, axis=0))
-            self._instances.cut = wp.array(cut, dtype=int)
 
     def _mostly_inside(self, fixed: int, times: np.ndarray) -> np.ndarray:
         """Whether moving bodies are in the hull of a fixed one: their middle, and half of the corners of their bounds.
@@ -475,6 +471,8 @@ class RayCaster:
                 wp.array(corners.min(axis=1), dtype=wp.vec3),
                 wp.array(corners.max(axis=1), dtype=wp.vec3),
             )
+            present = self._film.present[frame]
+            self._instances.cut = wp.array(np.where(present, self._cut, REMOVED), dtype=int)
         self._instances.tree = self._tree.id
 
     def _cast(self, camera: CameraView, places: np.ndarray, seeds: np.ndarray, width: int, radius: int) -> np.ndarray:

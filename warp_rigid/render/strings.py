@@ -42,6 +42,7 @@ def with_strings(film: Film, recording: Recording) -> Film:
         "color": np.broadcast_to(np.array(COLOR, np.float32), (*film.color.shape[:-2], count, 3)),
         "position": np.broadcast_to(film.offset.astype(np.float32), (frames, count, 3)),
         "orientation": np.broadcast_to(np.array((0, 0, 0, 1), np.float32), (frames, count, 4)),
+        "present": np.ones((frames, count), bool),
         "env": np.arange(count),
         "body": np.full(count, -1),
         "motion": np.full(count, Motion.STATIC),

@@ -34,13 +34,13 @@ KIND = "recording"
 VERSION = 3  # increase when older files can no longer be read
 MAX_STEPS_PER_FRAME = 1_000_000
 """Maximum number of steps per frame."""
-CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
+CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32, "active": bool}
 """Quantities recorded in every frame, by their name in the simulator."""
 VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
 """Quantities recorded on request."""
 RECORDED_UNITS = {"time": "s", "position": "m", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
 VALUE_SHAPES = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
-START = (*VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES, "active", "gravity")
+START = (*VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES, "gravity")
 """Quantities recorded in the first frame only, besides those of joints and force fields."""
 CONTACTS = {name: f"contact_{name}" for name in CONTACT_RECORD.names or ()}
 """Archive members for the contact fields, concatenated over frames."""
@@ -55,6 +55,7 @@ class Frame:
     orientation: np.ndarray
     asleep: np.ndarray
     level: np.ndarray
+    active: np.ndarray
     linear_velocity: np.ndarray | None = None
     angular_velocity: np.ndarray | None = None
     contacts: np.ndarray | None = None
@@ -70,6 +71,7 @@ class Recording:
         orientation: (frames + 1, envs, bodies, 4) float32, unit quaternions (x, y, z, w).
         asleep: (frames + 1, envs, bodies) bool.
         level: (frames + 1, envs, bodies) int32, level in the contact graph.
+        active: (frames + 1, envs, bodies) bool; bodies that are switched off are not drawn.
         fps: frames per simulated second.
         envs: (envs,) int64, indices of these environments in the simulation.
         labels: one label per environment; may be empty.
@@ -93,6 +95,7 @@ class Recording:
     orientation: np.ndarray
     asleep: np.ndarray
     level: np.ndarray
+    active: np.ndarray
     fps: float
     envs: np.ndarray
     labels: tuple[str, ...]
@@ -516,7 +519,9 @@ def _surface(arrays: Mapping[str, np.ndarray], index: int, endless: bool, freque
 
 def _quantities(arrays: Mapping[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:
     """Validate quantities of shape (frames, envs, bodies, ...), by name."""
-    return {name: shaped(arrays, name, kind, rows + VALUE_SHAPES.get(name, ())) for name, kind in kinds.items()}
+    stored = {name: kind for name, kind in kinds.items() if name != "active" or name in arrays}
+    found = {name: shaped(arrays, name, kind, rows + VALUE_SHAPES.get(name, ())) for name, kind in stored.items()}
+    return {"active": np.ones(rows, bool)} | found  # older files do not state it
 
 
 def _frames(arrays: dict[str, np.ndarray], contacts: Sequence[np.ndarray] | None) -> Iterator[Frame]:

@@ -34,6 +34,7 @@ class _Group:
     position: np.ndarray
     orientation: np.ndarray
     color: np.ndarray
+    active: np.ndarray
     tracks: dict[str, Track] = field(default_factory=dict)
 
 
@@ -53,6 +54,7 @@ class Instancers:
         """Define the prims."""
         self._samples, root, self._film, self._row, frame = env
         self._color, self._velocities = options.color, options.velocities
+        self._hides = may_hide(self._film, self._row)
         self._groups: list[_Group] = []
         self._paths: dict[int, str] = {}
         colors = frame_colors(self._color, self._film, self._row, frame)
@@ -65,6 +67,7 @@ class Instancers:
                 np.ascontiguousarray(frame.position[self._row, bodies]),
                 np.ascontiguousarray(frame.orientation[self._row, bodies]),
                 colors[bodies],
+                frame.active[self._row, bodies],
             )
             self._define_group(f"{root}/{name}", group, library, frame)
             look = looks.get(int(bodies[0]))
@@ -103,6 +106,8 @@ class Instancers:
         values = {**_pose_values(group), "primvars:displayColor": vec3f(group.color)}
         if self._velocities:
             values |= self._velocity_values(group, frame)
+        if self._hides:
+            values["invisibleIds"] = _hidden(group)
         gloss = body_gloss(len(self._film.motion), self._film.looks)[group.bodies]
         for column, name in enumerate(("roughness", "metallic") if self._film.looks else ()):
             value = Vt.FloatArray.FromNumpy(np.ascontiguousarray(gloss[:, column]))
@@ -134,6 +139,10 @@ class Instancers:
                 values["primvars:displayColor"] = vec3f(group.color)
             if self._velocities:
                 values |= self._velocity_values(group, frame)
+            active = frame.active[self._row, group.bodies]
+            if self._hides and not np.array_equal(active, group.active):
+                group.active = active
+                values["invisibleIds"] = _hidden(group)
             self._samples.put([group.tracks[name] for name in values], time, values.values())
 
     def _velocity_values(self, group: _Group, frame: Frame) -> dict:
@@ -160,7 +169,21 @@ _TYPES = {
     "primvars:displayColor": NAMES.Color3fArray,
     "velocities": NAMES.Vector3fArray,
     "angularVelocities": NAMES.Vector3fArray,
+    "invisibleIds": NAMES.Int64Array,
 }
+
+VISIBILITY = "invisible", "inherited"
+"""Visibility of a body that is switched off, and of one that is not."""
+
+
+def may_hide(film: Recording, row: int) -> bool:
+    """Whether bodies of an environment may be off: in the recorded frames, or beyond the bounds of the scene."""
+    removes = film.scene is not None and film.scene.bounds is not None and film.scene.out_of_bounds == "remove"
+    return removes or not film.active[:, row].all()
+
+
+def _hidden(group: _Group) -> Any:
+    return Vt.Int64Array.FromNumpy(group.bodies[~group.active].astype(np.int64))
 
 
 def _center(film: Recording, body: int) -> np.ndarray:

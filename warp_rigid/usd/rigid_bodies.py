@@ -15,7 +15,7 @@ from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import ForceField
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, unique_name
 from warp_rigid.scene.shapes import Shape
-from warp_rigid.usd.animation import CONSTANT_COLORINGS
+from warp_rigid.usd.animation import CONSTANT_COLORINGS, VISIBILITY, may_hide
 from warp_rigid.usd.conventions import FOLLOWS_PATH, MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.field_data import fields_to_data
 from warp_rigid.usd.joint_prims import write_joint
@@ -44,13 +44,14 @@ class Bodies:
         samples, root, film, row, frame = env
         assert film.scene is not None
         self._samples, self._film, self._row, self._color, self._several = samples, film, row, options.color, several
-        self._tracks: dict[str, list[Track]] = {"place": [], "orientation": [], "color": []}
+        self._tracks: dict[str, list[Track]] = {"place": [], "orientation": [], "color": [], "visibility": []}
         self._paths: list[str] = []
         scene, start = film.scene, film.start
         fields = fields_at_start(scene, start, row)
         _write_scene(samples.layer, f"{root}/{PHYSICS_SCENE}", scene, start["gravity"][row], fields)
         self._position = frame.position[self._row].copy()
         self._orientation = frame.orientation[self._row].copy()
+        self._active, self._hides = frame.active[self._row], may_hide(film, row)
         self._colors = frame_colors(self._color, self._film, self._row, frame)
         looks = drawn_looks(self._film, self._color)
         # USD velocities are in the body frame, angular ones in degrees.
@@ -110,13 +111,16 @@ class Bodies:
         if np.any(surface):
             write_surface_motion(prim, *surface)
         follows = {} if body.path is None else {FOLLOWS_PATH: True}
-        off = {} if start["active"][row, index] else {"active": False}
+        off = {} if self._active[index] else {"active": False}
         prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower(), **follows, **off}})
         place, orientation = write_pose(prim, self._position[index], self._orientation[index])
         hue = set_attribute(
             prim, "primvars:displayColor", NAMES.Color3fArray, vec3f([self._colors[index]]), interpolation="constant"
         )
-        for name, attribute in (("place", place), ("orientation", orientation), ("color", hue)):
+        tracked = {"place": place, "orientation": orientation, "color": hue}
+        if self._hides:
+            tracked["visibility"] = set_attribute(prim, "visibility", NAMES.Token, VISIBILITY[int(self._active[index])])
+        for name, attribute in tracked.items():
             self._tracks[name].append(self._samples.track(attribute))
         if index in self._film.looks:
             for name in ("roughness", "metallic"):
@@ -156,6 +160,12 @@ class Bodies:
         values = Vt.QuatdArray.FromNumpy(precise_quaternions(orientation[rotated]))
         self._samples.put([self._tracks["orientation"][index] for index in rotated.tolist()], time, values)
         self._position, self._orientation = position.copy(), orientation
+        if self._hides:
+            active = frame.active[self._row]
+            switched = np.flatnonzero(active != self._active).tolist()
+            tracks = [self._tracks["visibility"][index] for index in switched]
+            self._samples.put(tracks, time, [VISIBILITY[int(active[index])] for index in switched])
+            self._active = active
         if self._color not in CONSTANT_COLORINGS:
             colors = frame_colors(self._color, self._film, self._row, frame)
             changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()

@@ -81,8 +81,8 @@ class Instances:
         for index, moves, image in np.unique(np.stack([film.mesh, moving, film.image])[:, shown], axis=1).T.tolist():
             chosen = (film.mesh == index) & (moving == moves) & (film.image == image) & shown
             self._batches.append(self._add(index, bool(moves), image, np.flatnonzero(chosen), film))
-        self._opacity = np.where(moving, 1.0, opacity_of_walls(film))
-        self.fade(self._opacity)
+        self._opacity = self._solid = np.where(moving, 1.0, opacity_of_walls(film))
+        self.fade(np.where(film.present[0], self._solid, 0.0))
 
     @property
     def handles(self) -> list[tuple[Any, np.ndarray]]:
@@ -92,6 +92,8 @@ class Instances:
     def show(self, film: Film, frame: int) -> None:
         """Show a frame of the film, or of another one of the same instances."""
         self.pose(film.position[frame], film.orientation[frame])
+        if not film.present.all():
+            self.fade(np.where(film.present[frame], self._solid, 0.0))
         if film.color.ndim == 3:
             self.color(bytes_of_light(film.color[frame]))
 

@@ -501,6 +501,7 @@ class LiveViewer:
         opacity = self._walls.copy()
         if CONTACTS in self._overlays.shown:
             opacity[self._touching()] *= SEEN_THROUGH
+        opacity[~self.session.sim.get("active")[self.rows].reshape(-1)] = 0.0
         if self._options["sleepers"]:
             asleep = self.session.sim.get("asleep")[self.rows].reshape(-1)
             opacity[asleep & self._film.dynamic & (self._film.image < 0)] *= 0.35
