@@ -197,6 +197,29 @@ def test_bodies_that_are_not_simulated_are_neither_high_nor_fast():
     assert row["top_height"] == pytest.approx(0.1, abs=1e-3) and not row["toppled"]
 
 
+def flying_apart():
+    """Two balls, one above the other, of which neither stays in the scene."""
+    scene = wr.Scene(gravity=(0, 0, 0), bounds=((-1, -1, -1), (1, 1, 2)), out_of_bounds="remove")
+    for height in (0.0, 1.0):
+        scene.add_body(wr.Sphere(0.1), position=(0, 0, height), linear_velocity=(5, 0, 0))
+    return scene
+
+
+def waiting():
+    """The bodies of a pool, none of which is simulated."""
+    scene = wr.Scene()
+    scene.add_pool(wr.Sphere(0.1), 2, "spare")
+    return scene
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("scene", [flying_apart, waiting])
+def test_nothing_topples_where_no_body_is_left(scene):
+    """Without bodies, the highest one is at -infinity, and the lowest one at infinity."""
+    row = quick({"seed": [0]}, lambda seed: scene(), duration=0.5, metrics=["toppled", "top_height"]).rows[0]
+    assert row["toppled"] is False and row["top_height"] is None
+
+
 def test_a_run_that_fails_is_a_row_and_harms_no_other():
     fixed = {"mass": 1e-3}
     good = values(quick({"force": [(1, 0, 0)]}, fixed=fixed))[0]

@@ -85,11 +85,14 @@ class MetricRecorder:
     def toppled(self) -> np.ndarray:
         """Whether the highest body ended below half the initial height difference between highest and lowest body.
 
-        False if all bodies start at the same height. Bodies count that are active, at the start and at the end.
+        False if all bodies start at the same height. Bodies count that are active, at the start and at the end; False
+        if there are none at one of these times.
         """
         foot = np.where(self.present_at_start, self.start[..., 2], np.inf).min(axis=1)
         height = _highest(self.start, self.present_at_start) - foot
-        return (height > 0.0) & (_highest(self.centers(), self.present()) < foot + 0.5 * height)
+        rose, now = height > 0.0, self.present()
+        middle = np.where(rose, foot, 0.0) + 0.5 * np.where(rose, height, 0.0)
+        return rose & now.any(axis=1) & (_highest(self.centers(), now) < middle)
 
     def escaped(self) -> np.ndarray:
         """Number of dynamic bodies that ended outside the initial bounding box by more than its diagonal."""
