@@ -34,8 +34,8 @@ HARDLY = wp.constant(0.05)
 """Largest speed of a body in an island that hardly moves, in sizes of the body per second."""
 
 RESTING = wp.constant(0.01)
-"""Largest speed of a body in an island at rest, in sizes of the body per second. If most of its bodies were placed
-where they are, it is swept until it has converged (calm.py). A pile of fallen bodies converges over several steps."""
+"""Largest speed of a body in an island at rest, in sizes of the body per second. It is swept until it has converged
+(calm.py), except for an even pile, which converges over several steps."""
 
 RESTING_SHARE = wp.constant(0.1)
 """Speed that also counts as rest, as a fraction of the velocity that gravity adds in a step. Bodies move so fast
@@ -59,9 +59,9 @@ MOST_CALM = wp.constant(30)
 """The same for islands of so many bodies or more; between them, it is the number of bodies."""
 
 MOST_IN_MOTION = wp.constant(6)
-"""Maximum sweeps with momentum over several bodies that were placed where they are and move, such as a tower that
-topples, as a multiple of `contact_iterations`. Without these sweeps, overlaps arise, whose push-out adds 1e-4 of its
-potential energy."""
+"""Maximum sweeps with momentum over several bodies that move, such as a tower that topples, as a multiple of
+`contact_iterations`; an even pile has none. Without these sweeps, overlaps arise in the tower, whose push-out adds 1e-4
+of its potential energy."""
 
 CALM_CONVERGED = wp.constant(2.5e-4)
 """Sweeps with momentum end when no row changes a velocity by more than this [velocity units]."""
@@ -102,8 +102,8 @@ beams collapses; with eight, the first pair takes the whole load, and a pyramid 
 # Rounds
 
 PILE_ROUNDS = wp.constant(4.0)
-"""Maximum number of rounds in a pile, as a multiple of `contact_iterations`: the constant part. A pile converges over
-several steps: five times as many rounds do not bring 1000 boxes to rest earlier."""
+"""Maximum number of rounds in an even pile, as a multiple of `contact_iterations`: the constant part. Such a pile
+converges over several steps: five times as many rounds do not bring 1000 boxes to rest earlier."""
 
 PILE_ROUNDS_PER_BODY = wp.constant(0.3)
 """The part of it for each body that load passes on its way to the ground: along the edge of a cube of as many bodies,

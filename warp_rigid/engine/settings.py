@@ -25,7 +25,8 @@ class Settings:
             propagation; the numbers of rounds are proportional to it. In piles that move, which are solved without
             shock propagation, two more sweeps follow for each body on the shortest path to the ground. Structures that
             hardly move, such as an arch, are swept further until they converge: up to this number for each body, at
-            most 30 times. `Simulator.stats` reports the sweeps.
+            most 30 times; structures that topple, up to six times this number. Piles of masses that differ by more
+            than 4 : 1 are treated in the same way. `Simulator.stats` reports the sweeps.
         shock_iterations: repetitions of shock propagation.
         shock_propagation: "off", "one_pass" (Guendelman et al. 2003) or "two_pass" (with a line search, the default).
         collision_first: True solves impacts before the velocity update (as Guendelman et al.). False, for comparison,
