@@ -8,10 +8,12 @@ import pytest
 from pxr import Usd, UsdGeom
 
 import warp_rigid as wr
+from warp_rigid.render.appearance import spread_of
 from warp_rigid.render.film import film_from_recording, film_from_usd
-from warp_rigid.render.framing import CameraPath, points_to_see
+from warp_rigid.render.framing import event_end, fit_camera, points_to_see
 from warp_rigid.render.raycast import RayCaster
-from warp_rigid.runs.recording import Recording
+from warp_rigid.render.strings import with_strings
+from warp_rigid.runs.recording import CAPTURED, Recording
 from warp_rigid.viewer.instances import Instances
 from warp_rigid.viewer.page import start_server, stop_server
 
@@ -66,26 +68,87 @@ def test_xarray_has_it(recording):
     np.testing.assert_array_equal(found, recording.active)
 
 
-def test_absent_bodies_change_no_pixel_and_no_view(recording):
-    """They are drawn as bodies far below the ground are, and do not widen the picture."""
+def without(recording, *bodies):
+    """The recording of the same motion without some bodies."""
+    kept = [body for body in range(len(recording.names)) if body not in bodies]
+    frames = {name: getattr(recording, name)[:, :, kept] for name in CAPTURED}
+    frames |= {name: getattr(recording, name)[kept] for name in ("motion", "surface")}
+    return replace(recording, **frames, names=tuple(recording.names[body] for body in kept), scene=None)
+
+
+def drawn(film, frame):
+    view = fit_camera(np.array([[-1, -1, 0], [1, 1, 1]]), 1.5, 80)
+    return RayCaster(film, view).draw(frame, 120, 80)
+
+
+def test_an_absent_body_changes_no_pixel(recording):
+    film, alone = (film_from_recording(one) for one in (recording, without(recording, BALL, STRAY)))
+    for frame in range(film.num_frames):
+        there = frame in (*shown(recording, BALL), *shown(recording, STRAY))
+        assert (drawn(film, frame) == drawn(alone, frame)).all() == (not there), frame
+
+
+def test_an_absent_plane_is_not_drawn(recording):
+    active = recording.active.copy()
+    active[3:, :, 0] = False
+    film = film_from_recording(replace(recording, active=active))
+    alone = film_from_recording(without(replace(recording, active=active), 0))
+    assert not film.level.any() and (drawn(film, 6) == drawn(alone, 6)).all()
+    assert (drawn(film, 2) != drawn(alone, 2)).any()
+
+
+def test_only_what_is_present_is_kept_in_view(recording):
     film = film_from_recording(recording)
-    away = film.position.copy()
-    away[~film.present] = (0.0, 0.0, -50.0)
-    without = replace(film, position=away)
-    everywhere = replace(film, present=np.ones_like(film.present))
-    camera = CameraPath([film], [0], 64, 36).at(0)
-    pictures = [
-        [RayCaster(each, camera).draw(frame, 64, 36) for frame in (0, 4, 8)] for each in (film, without, everywhere)
-    ]
-    np.testing.assert_array_equal(pictures[0], pictures[1])
-    # At the start, the ball of the pool lies in the brick.
-    assert [bool((one != other).any()) for one, other in zip(pictures[0], pictures[2], strict=True)] == [
-        False,
-        True,
-        True,
-    ]
-    lowest = points_to_see(without, range(9))[:, 2].min()
-    assert lowest > -1.0
+    for frame in range(film.num_frames):
+        gone = [body for body in (BALL, STRAY) if not recording.active[frame, 0, body]]
+        expected = points_to_see(film_from_recording(without(recording, *gone)), [frame])
+        np.testing.assert_array_equal(points_to_see(film, [frame]), expected)
+
+
+def test_a_camera_waits_for_the_first_body():
+    """Before a body appears, the camera shows where it will."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    scene.add_pool(wr.Sphere(0.1), 2, "ball")
+    sim = wr.Simulator(scene, device="cpu")
+    place = (3, 0, 0.5)
+    recorded = wr.record(sim, 6, 60, on_frame=lambda i, sim: sim.spawn("ball", position=place) if i == 3 else None)
+    film = film_from_recording(recorded)
+    for frame in range(film.num_frames):
+        np.testing.assert_allclose(points_to_see(film, [frame]).mean(axis=0), place, atol=0.05)
+    none = film_from_recording(replace(recorded, active=recorded.active & (recorded.motion == wr.Motion.STATIC)))
+    assert np.isfinite(points_to_see(none, [0])).all()
+
+
+def test_a_film_goes_on_until_the_last_body_appears_or_vanishes(recording):
+    """The bodies are at rest all the time; AFTERMATH is 0.8 s."""
+    frames = 200
+    at_rest = {name: np.repeat(getattr(recording, name)[-1:], frames, axis=0) for name in CAPTURED}
+    at_rest["active"][:100, :, BALL] = False
+    at_rest["active"][100:, :, BALL] = True
+    at_rest["position"][100:, :, BALL] += 0.5
+    film = film_from_recording(replace(recording, time=np.arange(frames) / 60, **at_rest))
+    assert event_end(film) == 100 + 48
+    gone = replace(film, present=film.present.copy())
+    gone.present[120:] = False
+    assert event_end(gone) == 120 + 48
+
+
+def test_the_string_of_an_absent_body_is_not_drawn():
+    scene = wr.Scene()
+    ball = scene.add_body(wr.Sphere(0.1), position=(0, 0, 1), active=False)
+    scene.add_joint(wr.DistanceJoint(maximum=1.0), ball, anchor=(0, 0, 1), anchor_b=(0, 0, 2))
+    sim = wr.Simulator(scene, device="cpu")
+    recorded = wr.record(sim, 2, 60, on_frame=lambda i, sim: sim.set("active", True))
+    film = with_strings(film_from_recording(recorded), recorded)
+    assert [bool(np.ptp(vertices, axis=0).any()) for vertices in film.meshes[-1].frames] == [False, True, True]
+
+
+def test_environments_are_spaced_by_the_bodies_that_are_present(recording):
+    far = replace(recording, position=recording.position.copy())
+    far.position[~recording.active] = 50.0
+    np.testing.assert_array_equal(spread_of(far).spacing(), spread_of(recording).spacing())
+    assert spread_of(far).spacing()[0] > 1.2  # from the ball, which appears later, to the one that leaves
 
 
 @pytest.mark.parametrize("profile", ["scene", "animation"])

@@ -178,7 +178,7 @@ def test_a_body_inside_a_ring_that_moves_is_not_cut_open():
     scene.add_body(Mesh(ring.vertices, ring.faces, sdf_resolution=16), position=(0, 0, 1))
     film = replace(film_of(scene, 1), camera=Camera.orbit(-90.0, 5.0))
     caster = RayCaster(film, CameraPath([film], [0], 160, 90).at(0))
-    assert caster._instances.cut.numpy()[0] != CUT
+    assert caster._cut[0] != CUT
 
 
 def test_a_hollow_body_is_cut_open_and_a_solid_one_is_not():

@@ -199,3 +199,22 @@ def test_contacts_leave_bodies_solid(viewer):
         faded = body in touching and body in dynamic
         assert shown[body] < plain[body] if faded else shown[body] == plain[body]
     assert shown[dynamic].min() > 0.6
+
+
+def test_the_viewer_hides_bodies_that_are_switched_off(viewer):
+    """Also in the past seconds, as a film and when the session goes on from there."""
+    sim, last = viewer.session.sim, len(viewer.session.plan.scene.bodies) - 1
+
+    def opacity():
+        viewer._publish()
+        return {i: viewer._instances._opacity[i] for i in range(len(viewer._film.mesh))}[last]
+
+    viewer.history.add(0.0, sim)
+    sim.set("active", False, bodies=[last])
+    viewer.history.add(1.0, sim)
+    assert opacity() == 0.0
+    assert viewer.film().present[:, last].tolist() == [True, False]
+    viewer._past = viewer.history.moments[0]
+    assert opacity() == 1.0
+    viewer.session.show(viewer._past)
+    assert sim.get("active")[0, last]

@@ -224,7 +224,8 @@ def bound_corners(vertices) -> np.ndarray:
 class Spread:
     """Extent of an environment, accumulated over frames.
 
-    Includes all finite bodies in the first frame, and the moving bodies in later frames except outliers.
+    Includes all finite bodies in the first frame in which they are active, and the moving bodies in later frames except
+    outliers.
 
     Args:
         recording: provides the surfaces, the motions and the first frame.
@@ -232,25 +233,37 @@ class Spread:
 
     def __init__(self, recording: Recording):
         """Start with the bounds of the first frame."""
-        self._moving = is_moving(recording.motion)
+        self._moving, self._recording = is_moving(recording.motion), recording
+        self._seen = np.zeros(recording.active[0].shape, bool)
         self._all, self._moved = ([np.full(3, np.inf), np.full(3, -np.inf)] for _ in range(2))
         self._reach = 0.0
-        for index, surface in enumerate(recording.surfaces):
-            bodies = np.flatnonzero(recording.surface == index)
+        self._appear(recording.position[0], recording.orientation[0], recording.active[0])
+
+    def _appear(self, position: np.ndarray, orientation: np.ndarray, active: np.ndarray) -> None:
+        """Include the bounds of bodies that are active for the first time."""
+        new = active & ~self._seen
+        if not new.any():
+            return
+        self._seen |= new
+        place = np.where(new[..., None], position, np.nan)
+        for index, surface in enumerate(self._recording.surfaces):
+            bodies = np.flatnonzero(self._recording.surface == index)
             if len(surface.vertices) == 0 or (surface.endless and not self._moving[bodies].any()):
                 continue
-            turned = rotate(recording.orientation[0][:, bodies, None], bound_corners(surface.vertices))
-            corners = turned + recording.position[0][:, bodies, None]
+            turned = rotate(orientation[:, bodies, None], bound_corners(surface.vertices))
+            corners = turned + place[:, bodies, None]
             _include(self._all, corners)
             _include(self._moved, corners[:, self._moving[bodies]])
 
-    def add(self, position: np.ndarray) -> None:
-        """Add the positions of a frame, (envs, bodies, 3) [m]."""
-        if self._moving.any():
-            sideways = np.abs(position[:, self._moving, :2]).max(axis=-1)
+    def add(self, frame: Frame, rows: np.ndarray) -> None:
+        """Add the positions of the active bodies in some rows of a frame."""
+        self._appear(frame.position, frame.orientation, frame.active)
+        position = frame.position[rows][frame.active[rows] & self._moving]
+        if len(position):
+            sideways = np.abs(position[:, :2]).max(axis=-1)
             finite = sideways[np.isfinite(sideways)]
             self._reach = max(self._reach, float(np.percentile(finite, 98.0)) if finite.size else 0.0)
-            extremes = np.percentile(position[:, self._moving].reshape(-1, 3), (5.0, 95.0), axis=0)
+            extremes = np.percentile(position, (5.0, 95.0), axis=0)
             _include(self._all, extremes)
             _include(self._moved, extremes)
 
@@ -288,8 +301,8 @@ def _include(box: list[np.ndarray], points: np.ndarray) -> None:
 def spread_of(recording: Recording) -> Spread:
     """Extent of an environment over a whole recording."""
     spread = Spread(recording)
-    for position in recording.position:
-        spread.add(position)
+    for frame in recording.frames():
+        spread.add(frame, recording.rows())
     return spread
 
 

@@ -118,9 +118,10 @@ class Film:
 
     @property
     def level(self) -> np.ndarray:
-        """(instances,) True for planes that lie level and fixed, which are drawn as one endless ground."""
+        """(instances,) True for planes that lie level and fixed all the time, which are drawn as one endless ground."""
         normals = np.array([mesh.normals[0, 0] for mesh in self.meshes])[self.mesh]
-        return self.flat & ~self.moving & (rotate(self.orientation[0], normals)[:, 2] > 1.0 - 1.0e-6)
+        still = self.present.all(axis=0) & ~self.moving
+        return self.flat & still & (rotate(self.orientation[0], normals)[:, 2] > 1.0 - 1.0e-6)
 
     def color_at(self, frame: int) -> np.ndarray:
         """Colours of one frame, (instances, 3)."""

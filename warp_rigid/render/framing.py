@@ -275,21 +275,26 @@ def fit_camera(points: np.ndarray, aspect: float, height: int, camera: Camera = 
 def points_to_see(film: Film, frames) -> np.ndarray:
     """Bounding box corners of the dynamic and the moving bodies, and of small other ones near them, (points, 3) [m].
 
+    Absent bodies count only where nothing else than grounds is present.
+
     Args:
         film: the film.
         frames: indices of the frames to consider.
     """
     corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])[film.mesh]
     flat = film.flat
-    chosen = ((film.moving | film.dynamic) & ~flat, ~flat, np.ones_like(flat))
-    moving = next(mask for mask in chosen if (mask & film.present[list(frames)]).any())
+    kinds = ((film.moving | film.dynamic) & ~flat, ~flat, np.ones_like(flat))
+    choices = [kind & film.present for kind in kinds[:2]] + [np.tile(kind, (film.num_frames, 1)) for kind in kinds]
+    seen = next(choice for choice in choices if choice.any())
+    moving, filled = seen.any(axis=0), np.flatnonzero(seen.any(axis=1))
+    nearest = filled[[np.abs(filled - frames[0]).argmin()]]
+    frames = np.intersect1d(frames, filled) if np.isin(frames, filled).any() else nearest
 
     def placed(chosen, frame):
-        chosen = chosen & film.present[frame]
         rotated = rotate(film.orientation[frame][chosen, None], corners[chosen])
         return rotated + film.position[frame][chosen, None]
 
-    points = np.concatenate([placed(moving, frame) for frame in frames])
+    points = np.concatenate([placed(seen[frame], frame) for frame in frames])
     # Outliers that fly away are ignored.
     middle = np.median(points.reshape(-1, 3), axis=0)
     away = np.linalg.norm(points.mean(axis=1) - middle, axis=1)
@@ -315,7 +320,7 @@ def _relief(film: Film) -> np.ndarray:
     sizes = np.array([np.ptp(mesh.vertices, axis=0).max() for mesh in film.meshes])
     bodies = sizes[film.mesh[moving]] if moving.any() else sizes
     found = [np.zeros((0, 3))]
-    for i in np.flatnonzero(~moving):
+    for i in np.flatnonzero(~moving & film.present.all(axis=0)):
         mesh = film.meshes[film.mesh[i]]
         upward = rotate(film.orientation[0][i], mesh.normals)[..., 2] > 0.0
         if not mesh.flat and upward.all() and sizes[film.mesh[i]] > 5.0 * np.median(bodies):
@@ -335,10 +340,15 @@ def event_end(film: Film) -> int:
     distance = np.linalg.norm(np.diff(position, axis=0), axis=2)
     cosine = np.abs(np.einsum("fij,fij->fi", orientation[1:], orientation[:-1])).clip(max=1.0)
     turn = 2.0 * np.arccos(cosine)
+    present = film.present[:, moving]
+    # A body that appears or vanishes is an event.
     speed = film.fps * (distance / size + 0.5 * turn)
-    away = np.linalg.norm(position[-1] - np.median(position[-1], axis=0), axis=1)
-    present = away <= STRAY * np.percentile(away, 75.0) + size
-    busy = (speed[:, present] > STILL).sum(axis=1) > STRAY_PART * present.sum()
+    busy = np.where(present[1:] & present[:-1], speed > STILL, present[1:] != present[:-1])
+    if present[-1].any():
+        away = np.linalg.norm(position[-1] - np.median(position[-1, present[-1]], axis=0), axis=1)
+        near = away <= STRAY * np.percentile(away[present[-1]], 75.0) + size
+        busy = busy[:, near | ~present[-1]]
+    busy = busy.sum(axis=1) > STRAY_PART * busy.shape[1]
     rest = int(np.flatnonzero(busy)[-1]) + 1 if busy.any() else 0
     return min(last, rest + round(AFTERMATH * film.fps))
 

@@ -405,28 +405,32 @@ class RayCaster:
     def _cut_away(self, fixed: np.ndarray) -> None:
         """Cut away fixed bodies that hide more than HIDDEN_PART of the moving bodies."""
         candidates = np.flatnonzero(fixed)
-        times = self._film.position[:: max(1, self._film.num_frames // HIDDEN_TIMES), self._film.moving]
+        spaced = slice(None, None, max(1, self._film.num_frames // HIDDEN_TIMES))
+        times, present = (of[spaced, self._film.moving] for of in (self._film.position, self._film.present))
         places = times.reshape(-1, 3)
-        if len(candidates) and len(places):
+        if len(candidates) and present.any():
             self._place_instances(0)
             targets = wp.array(places, dtype=wp.vec3)
             hidden = wp.zeros((len(candidates), len(targets)), dtype=wp.bool)
             arguments = [self._camera.eye, self._instances, wp.array(candidates, dtype=int), targets]
             wp.launch(find_hidden, hidden.shape, arguments, outputs=[hidden])
-            hiding = hidden.numpy()
+            hiding = hidden.numpy().reshape(-1, *present.shape) & present
+            count = present.sum(axis=1).clip(min=1)
+            cut = self._cut.copy()
             for k, i in enumerate(candidates):
                 size = np.sort(np.ptp(self._corners[i], axis=0))
                 thin = size[0] < WALL_THICKNESS * size[1]
-                if thin and hiding[k].mean() * len(self._film.labels) > HIDDEN_PART:
+                if thin and hiding[k].sum() / present.sum() * len(self._film.labels) > HIDDEN_PART:
                     # A kinematic wall, such as a gate, is part of what happens, even if it does not move in this film.
-                    self._cut[i] = REMOVED if self._film.motion[i] == Motion.STATIC else WHOLE
-                elif not thin and hiding[k].reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
-                    inside = self._mostly_inside(i, times)
-                    if (hiding[k] & inside).reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
-                        self._cut[i] = CUT
+                    cut[i] = REMOVED if self._film.motion[i] == Motion.STATIC else WHOLE
+                elif not thin and (hiding[k].sum(axis=1) / count).max() > HIDDEN_INSIDE:
+                    inside = self._mostly_inside(i, times).reshape(present.shape)
+                    if ((hiding[k] & inside).sum(axis=1) / count).max() > HIDDEN_INSIDE:
+                        cut[i] = CUT
             toward = np.array(self._camera.forward) * (-1.0, -1.0, 0.0)
             self._instances.section_normal = wp.vec3(*(toward / max(np.linalg.norm(toward), 1e-9)))
-            self._instances.section_point = wp.vec3(*np.median(places, axis=0))
+            self._instances.section_point = wp.vec3(*np.median(times[present], axis=0))
+            self._cut = cut
 
     def _mostly_inside(self, fixed: int, times: np.ndarray) -> np.ndarray:
         """Whether moving bodies are in the hull of a fixed one: their middle, and half of the corners of their bounds.
@@ -464,6 +468,7 @@ class RayCaster:
         position, orientation = self._film.position[frame], self._film.orientation[frame]
         corners = rotate(orientation[:, None], self._corners) + position[:, None]
         with wp.ScopedDevice("cpu"):
+            self._instances.cut = wp.array(np.where(self._film.present[frame], self._cut, REMOVED), dtype=int)
             self._instances.color = wp.array(self._film.color_at(frame), dtype=wp.vec3)
             self._instances.position = wp.array(position, dtype=wp.vec3)
             self._instances.orientation = wp.array(orientation, dtype=wp.quat)
@@ -471,8 +476,6 @@ class RayCaster:
                 wp.array(corners.min(axis=1), dtype=wp.vec3),
                 wp.array(corners.max(axis=1), dtype=wp.vec3),
             )
-            present = self._film.present[frame]
-            self._instances.cut = wp.array(np.where(present, self._cut, REMOVED), dtype=int)
         self._instances.tree = self._tree.id
 
     def _cast(self, camera: CameraView, places: np.ndarray, seeds: np.ndarray, width: int, radius: int) -> np.ndarray:
@@ -510,6 +513,7 @@ def endless_planes(film: Film) -> np.ndarray:
     A tilted plane of one of several environments is drawn as a square, so that it does not cut through the others.
     """
     square = film.flat & ~film.moving & (np.array([len(mesh.faces) for mesh in film.meshes])[film.mesh] == 2)
+    square &= film.present.all(axis=0)
     return square & (film.level | (len(film.labels) == 1))
 
 

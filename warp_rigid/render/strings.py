@@ -55,11 +55,14 @@ def with_strings(film: Film, recording: Recording) -> Film:
 def _tubes(film: Film, scene: Scene, entries: list, row: int) -> DrawnMesh:
     """All strings of an environment as one mesh with the vertices of each frame."""
     vertices = []
-    position, orientation = _poses(film, len(scene.bodies), row)
+    position, orientation, present = _poses(film, len(scene.bodies), row)
     for entry in entries:
         first, second = entry.anchors(position, orientation)
         length = np.linalg.norm(second - first, axis=1)
-        second = np.where((length <= STRETCH * entry.joint.range[1])[:, None], second, first)
+        drawn = (length <= STRETCH * entry.joint.range[1]) & present[:, entry.body_a]
+        if entry.body_b is not None:
+            drawn &= present[:, entry.body_b]
+        second = np.where(drawn[:, None], second, first)
         radius = THICKNESS * scene.bodies[entry.body_a].shape.size
         vertices.append(_tube(first, second, radius))
     shown = np.concatenate(vertices, axis=1).astype(np.float32)
@@ -69,13 +72,15 @@ def _tubes(film: Film, scene: Scene, entries: list, row: int) -> DrawnMesh:
     return DrawnMesh(shown[0], faces, corner_normals(shown[0], faces), tuple(shown))
 
 
-def _poses(film: Film, bodies: int, row: int) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of all bodies of an environment in all frames: (frames, bodies, 3) and (frames, bodies, 4)."""
+def _poses(film: Film, bodies: int, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, orientations and presence of all bodies of an environment in all frames, (frames, bodies, ...)."""
     own = np.flatnonzero((film.env == row) & (film.body >= 0))
     position, orientation = np.zeros((film.num_frames, bodies, 3)), np.zeros((film.num_frames, bodies, 4))
+    present = np.zeros((film.num_frames, bodies), bool)
     position[:, film.body[own]] = film.position[:, own] - film.offset[row]
     orientation[:, film.body[own]] = film.orientation[:, own]
-    return position, orientation
+    present[:, film.body[own]] = film.present[:, own]
+    return position, orientation, present
 
 
 def _tube(first: np.ndarray, second: np.ndarray, radius: float) -> np.ndarray:

@@ -107,7 +107,7 @@ class UsdWriter:
                 else:
                     for writer in self._writers:
                         writer.sample(float(self._frames), frame)
-            self._spread.add(frame.position[self._rows])
+            self._spread.add(frame, self._rows)
             self._frames += 1
             if self._live and self._frames - self._flushed >= self._flush_interval():
                 self._flush()

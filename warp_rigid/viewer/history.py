@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-QUANTITIES = ("position", "orientation", "linear_velocity", "angular_velocity")
+QUANTITIES = ("position", "orientation", "linear_velocity", "angular_velocity", "active")
 LENGTH = 20.0
 """Simulated time that is kept [s]."""
 RATE = 30.0

@@ -20,7 +20,7 @@ from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
 from warp_rigid.viewer import page
 from warp_rigid.viewer.controls import check_point
-from warp_rigid.viewer.history import History, Moment
+from warp_rigid.viewer.history import QUANTITIES, History, Moment
 from warp_rigid.viewer.instances import Instances, bytes_of_light
 from warp_rigid.viewer.overlays import CONTACTS, Overlays
 from warp_rigid.viewer.panel import Panel
@@ -458,13 +458,13 @@ class LiveViewer:
     def _publish(self) -> None:
         """Send the current state."""
         sim, rows = self.session.sim, self.rows
-        now = {name: sim.get(name) for name in ("position", "orientation")} if self._past is None else self._past.state
+        now = {name: sim.get(name) for name in QUANTITIES} if self._past is None else self._past.state
         poses = self._poses(now)
         position, orientation = poses["position"][0], poses["orientation"][0]
         with self.server.atomic():
             self._instances.pose(position, orientation)
             self._instances.color(self._colors())
-            self._instances.fade(self._opacity())
+            self._instances.fade(np.where(poses["present"][0], self._opacity(), 0.0))
             if self._overlays.shown:
                 self._overlays.update(sim, rows, self._film.offset, self.chosen)
             self._slice.follow(position[self._chosen_instance], orientation[self._chosen_instance])
@@ -479,7 +479,12 @@ class LiveViewer:
         """A state of all environments as the poses of a film of one frame."""
         position = state["position"][self.rows] + self._film.offset[:, None].astype(np.float32)
         orientation = state["orientation"][self.rows]
-        return {"position": position.reshape(1, -1, 3), "orientation": orientation.reshape(1, -1, 4)}
+        present = state["active"][self.rows].reshape(1, -1)
+        return {
+            "position": position.reshape(1, -1, 3),
+            "orientation": orientation.reshape(1, -1, 4),
+            "present": present,
+        }
 
     @property
     def _chosen_instance(self) -> int:
@@ -501,7 +506,6 @@ class LiveViewer:
         opacity = self._walls.copy()
         if CONTACTS in self._overlays.shown:
             opacity[self._touching()] *= SEEN_THROUGH
-        opacity[~self.session.sim.get("active")[self.rows].reshape(-1)] = 0.0
         if self._options["sleepers"]:
             asleep = self.session.sim.get("asleep")[self.rows].reshape(-1)
             opacity[asleep & self._film.dynamic & (self._film.image < 0)] *= 0.35
