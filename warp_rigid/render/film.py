@@ -350,14 +350,20 @@ def _read_gloss(prim, count: int) -> np.ndarray:
 
 
 def _read_presence(group, body: np.ndarray, frames) -> np.ndarray:
-    """Which bodies of a group are visible at some time codes, (frames, bodies)."""
-    several = group.HasAttribute("protoIndices")
-    attribute = group.GetAttribute("invisibleIds" if several else "visibility")
-    if not attribute.HasAuthoredValue():
-        return np.ones((len(frames), len(body)), bool)
-    values = [attribute.Get(frame) for frame in frames]
-    hidden = [np.isin(body, value) if several else np.full(len(body), value == "invisible") for value in values]
-    return ~np.stack(hidden)
+    """Which bodies of a group are present at some time codes, (frames, bodies).
+
+    Of several level grounds, all but one are always invisible; they are present.
+    """
+    from warp_rigid.usd.conventions import custom_data
+
+    hidden, visibility = group.GetAttribute("invisibleIds"), group.GetAttribute("visibility")
+    if group.HasAttribute("protoIndices"):
+        absent = [np.isin(body, hidden.Get(frame) if hidden.HasAuthoredValue() else ()) for frame in frames]
+    elif visibility.ValueMightBeTimeVarying():
+        absent = [np.full(1, visibility.Get(frame) == "invisible") for frame in frames]
+    else:
+        absent = [np.full(1, not custom_data(group).get("active", True))] * len(frames)
+    return ~np.stack(absent)
 
 
 def _read(attribute, frames) -> np.ndarray:
