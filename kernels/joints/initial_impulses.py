@@ -1,12 +1,12 @@
 """Line searches where there are joints: the initial impulses of contacts, and what the sweeps have changed.
 
-The initial impulses are those of the step before, as far as they reduce the energy.
+The initial impulses of contacts are those of the step before, as far as they reduce the energy.
 
 At an impact, the impulses of a step are many times larger than what the next step requires. Sweeps reduce them again,
-but joints, limits and friction make that slow, and what is left of them adds energy. After the first sweep, the
-impulses of the contacts of mechanisms are therefore scaled, in each island, by the factor in [0, 1] that minimizes the
-energy. At rest it is 1. Before that sweep, one body that lands would decide on the impulses of all others of its
-island, and a heap would fall a little at each impact.
+but different masses, joints, limits and friction make that slow, and what is left of them adds energy. After the first
+sweep, all changes since the initial impulses were applied are therefore scaled, in each island, by the factor in [0, 1]
+that minimizes the energy. At rest it is 1. Before that sweep, one body that lands would decide on the impulses of all
+others of its island, and a heap would fall a little at each impact.
 
 Sweeps over the contacts of mechanisms need not decrease the energy either: a visit takes a limit that is reached for a
 joint that holds both ways, and the direct solution releases it again. What shock propagation and the sweeps after it
@@ -15,16 +15,15 @@ have changed is therefore scaled in the same way.
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import START, store_velocity
+from warp_rigid.kernels.common.solver_body import START
 from warp_rigid.kernels.common.team import Team, sync_team
-from warp_rigid.kernels.constraints import contact
-from warp_rigid.kernels.constraints.contact import blend_row, store_start
+from warp_rigid.kernels.constraints.contact import blend_row, scale_row
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.loads import is_visited
 from warp_rigid.kernels.joints.mechanism import energy_terms
-from warp_rigid.kernels.schema import Contacts, Graph, Motions, Order
-from warp_rigid.kernels.solve.gauss_seidel import warm_start_pair
+from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order
+from warp_rigid.kernels.solve.gauss_seidel import store_before_contacts, warm_start_pair
 from warp_rigid.kernels.solve.line_search import (
     FIXED_POINT,
     accepted_share,
@@ -59,34 +58,21 @@ def warm_start_others(team: Team, order: Order, motions: Motions, contacts: Cont
 
 
 @wp.func
-def store_before_impulses(
-    first: int, last: int, team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints
-):
-    """Store velocities and impulses without the initial ones of the contacts of mechanisms, which start at 0."""
-    none = wp.vec3(0.0, 0.0, 0.0)
-    for b in range(first + team.lane, last, team.lanes):
-        body = motions.solver_bodies[b]
-        store_velocity(b, START, body.linear, body.angular, motions)
+def store_before_impulses(team: Team, envs: Environments, motions: Motions, joints: Joints):
+    """Store the velocities and the impulses of joints before the initial impulses are applied."""
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
         joints.start[j] = joints.total[j]
-    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
-        entry = entry_at(k, order)
-        for c in range(entry.begin, entry.end):
-            store_start(c, contacts)
-            if is_visited(entry, joints):
-                contact.set_impulse(c, contact.START_IMPULSE, none, contacts)
-                contact.set_impulse(c, contact.START_ANGULAR_IMPULSE, none, contacts)
-    sync_team(team)
+    store_before_contacts(team, envs, motions)
 
 
 @wp.func
-def store_joint_terms(dt: float, team: Team, graph: Graph, motions: Motions, joints: Joints):
+def store_joint_terms(since: int, dt: float, team: Team, graph: Graph, motions: Motions, joints: Joints):
     """Store the contributions of joints to the sums of a line search, and the largest ones of each island.
 
     Joints that are solved before and after contribute nothing, except at limits.
     """
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
-        terms = energy_terms(j, dt, motions, joints)
+        terms = energy_terms(j, since, dt, motions, joints)
         joints.terms[j] = terms
         island = island_of_joint(j, motions, joints, graph)
         wp.atomic_max(graph.largest, island, float(wp.max(wp.abs(terms[0]), wp.abs(terms[1]))))
@@ -105,19 +91,30 @@ def add_joint_terms(team: Team, graph: Graph, motions: Motions, joints: Joints):
 
 @wp.func
 def scale_changes(
-    first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts, joints: Joints
+    since: int,
+    team: Team,
+    envs: Environments,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    contacts: Contacts,
+    joints: Joints,
 ):
     """Scale the changes since the start of the search by the factor of each island."""
-    for b in range(first + team.lane, last, team.lanes):
+    for b in range(envs.first_body[team.env] + team.lane, envs.first_body[team.env + 1], team.lanes):
         if motions.role[b] == Role.FREE:
-            scale_change(b, accepted_share(graph.island[b], graph), START, motions)
+            scale_change(b, accepted_share(graph.island[b], graph), since, motions)
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
         share = wp.float64(accepted_share(island_of_joint(j, motions, joints, graph), graph))
         joints.total[j] = joints.start[j] + share * (joints.total[j] - joints.start[j])
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
+        step_length = accepted_share(island_of(entry, motions, graph), graph)
         for c in range(entry.begin, entry.end):
-            blend_row(c, accepted_share(island_of(entry, motions, graph), graph), contacts)
+            if since == START:
+                blend_row(c, step_length, contacts)
+            else:
+                scale_row(c, step_length, contacts)
     sync_team(team)
 
 
@@ -130,10 +127,10 @@ def island_of_joint(j: int, motions: Motions, joints: Joints, graph: Graph):
 
 @wp.func
 def search_energy(
+    since: int,
     dt: float,
-    first: int,
-    last: int,
     team: Team,
+    envs: Environments,
     order: Order,
     graph: Graph,
     motions: Motions,
@@ -142,11 +139,11 @@ def search_energy(
 ):
     """Scale the changes since the start of the search such that they minimize the energy of each island.
 
-    The joints must have been solved.
+    The joints must have been solved. `since`: START or BEFORE_CONTACTS.
     """
-    clear_sums(first, last, team, graph)
-    store_terms(START, team, order, graph, motions, contacts)
-    store_joint_terms(dt, team, graph, motions, joints)
+    clear_sums(envs.first_body[team.env], envs.first_body[team.env + 1], team, graph)
+    store_terms(since, team, order, graph, motions, contacts)
+    store_joint_terms(since, dt, team, graph, motions, joints)
     add_terms(team, order, graph, motions)
     add_joint_terms(team, graph, motions, joints)
-    scale_changes(first, last, team, order, graph, motions, contacts, joints)
+    scale_changes(since, team, envs, order, graph, motions, contacts, joints)

@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.ccd import NEVER, motion_after, time_of
-from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
+from warp_rigid.kernels.common.solver_body import BEFORE_CONTACTS, PUSH, START, VELOCITY
 from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team, sync_team, team_of
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
@@ -55,7 +55,6 @@ from warp_rigid.kernels.schema import (
 )
 from warp_rigid.kernels.solve.gauss_seidel import (
     report_sweeps,
-    store_before_contacts,
     sweeps_of,
 )
 from warp_rigid.kernels.solve.line_search import FIXED_POINT, accepted_share, searched
@@ -219,7 +218,7 @@ def warm_start_with_joints(
         first_row = constraints.first_row[constraints.start[team.env]]
         choose_turns(first, last, first_row, team, order, graph, motions, joints, visits)
     if envs.warm_starting[team.env] == 1:
-        store_before_contacts(team, envs, motions)
+        store_before_impulses(team, envs, motions, joints)
         warm_start_others(team, order, motions, contacts, joints)
 
 
@@ -247,9 +246,8 @@ def sweep_with_joints(
         return
     unit = motions.velocity_unit[envs.first_body[env]]
     touched = any_touched(team, joints)
-    starts = after_shock == 0 and touched * envs.warm_starting[env] == 1
-    if starts:
-        store_before_impulses(envs.first_body[env], envs.first_body[env + 1], team, order, motions, contacts, joints)
+    has_joints = joints.first_joint[env] < joints.first_joint[env + 1]
+    starts = after_shock == 0 and envs.warm_starting[env] == 1 and has_joints and order.color_count[env] > 0
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
     if after_shock != AFTER_PASSES:
         left = sweeps_of(after_shock, team, envs, graph)
@@ -269,8 +267,8 @@ def sweep_with_joints(
             unsolved = any_of_team(wp.where(residual > CONVERGED * unit, 1, 0), team)
             left = unsolved * (left - 1)
         if stage == SEARCHING:
-            first = envs.first_body[env]
-            search_energy(dt, first, envs.first_body[env + 1], team, order, graph, motions, contacts, joints)
+            since = wp.where(after_shock == 0, BEFORE_CONTACTS, START)
+            search_energy(since, dt, team, envs, order, graph, motions, contacts, joints)
         is_first = starts and done == 1 and stage == SWEEPING
         stage = wp.where(is_first, SEARCHING, stage_after(stage, left, touched, is_searched))
     if after_shock == 0:
@@ -345,7 +343,7 @@ def add_energy_of_joints(
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
         island = island_of_joint(j, motions, joints, graph)
-        terms = energy_terms(j, dt, motions, joints) * wp.float64(1.0 / graph.largest[island])
+        terms = energy_terms(j, START, dt, motions, joints) * wp.float64(1.0 / graph.largest[island])
         for k in range(2):
             terms[k] = FIXED_POINT * wp.clamp(terms[k], -MOST_OF_LARGEST, MOST_OF_LARGEST)
         wp.atomic_add(graph.numerator, island, wp.int64(terms[0]))
@@ -406,7 +404,8 @@ def settle_joints(
 ):
     """One team per mechanism with contacts: the joints hold at the predicted poses.
 
-    Before the sweeps, this is the first solution with the forces of the step. After the push-out (`after_push`), its
+    Before the sweeps, this is the first solution with the forces of the step, without the initial impulses of contacts:
+    these may give light bodies velocities at which predicted poses mean nothing. After the push-out (`after_push`), its
     motion obeys the joints, too; mechanisms without contacts whose joints do not hold yet are solved once more.
     """
     team = team_of(wp.tid(), lanes)

@@ -229,13 +229,15 @@ def residual_of(j: int, dt: float, motions: Motions, joints: Joints):
 
 
 @wp.func
-def energy_terms(j: int, dt: float, motions: Motions, joints: Joints):
-    """Contribution of a joint to the two sums of the line search [J], as `contact.energy_terms`.
+def energy_terms(j: int, since: int, dt: float, motions: Motions, joints: Joints):
+    """Contribution of a joint to the two sums of a line search [J], as `contact.energy_terms`.
+
+    `since`: the velocities at the start of the search, START or BEFORE_CONTACTS.
 
     Rows that are not active now were released; they were solved before.
     """
     residual = residual_of(j, dt, motions, joints)
-    gained = row_velocities(j, VELOCITY, motions, joints) - row_velocities(j, START, motions, joints)
+    gained = row_velocities(j, VELOCITY, motions, joints) - row_velocities(j, since, motions, joints)
     sums = wp.vec2d()
     for k in range(6):
         change = joints.total[j][k] - joints.start[j][k]
@@ -380,8 +382,7 @@ def settle_mechanism(
 
     `exact`: 1 if it gives up where the rows of the pose at the start are not enough.
 
-    The first solution in a step has a prediction that is linear in the velocities: the impulses with which contacts
-    start may give light bodies high velocities, at which predicted poses mean nothing.
+    The first solution in a step has a prediction that is linear in the velocities; it is the one to return to.
     """
     k = int(0)
     anew = int(0)

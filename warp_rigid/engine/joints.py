@@ -216,8 +216,8 @@ class JointStages:
         step, kernels, pools = self._step, self.kernels, self.pools
         graph, motions = pools.graph, self.motions
         changed = [pools.order, graph, motions, pools.contacts, self.arrays, pools.visits]
-        self._per_team(kernels.warm_start_with_joints, [pools.constraints, *changed])
         self.settle(after_push=0)
+        self._per_team(kernels.warm_start_with_joints, [pools.constraints, *changed])
         self._per_team(kernels.sweep_with_joints, changed, [0, 0, self.dt])
         step.solve_parts(SolverPart.REST)
         for k in range(step.repetitions):
