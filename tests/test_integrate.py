@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from tests.oracles import opened, random_quaternion, rotate_about, rotation_matrix
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Compound, Sphere
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Plane, Sphere
 
 DT = 1 / 240
 
@@ -171,3 +172,29 @@ def test_a_body_that_hardly_turns_is_not_turned_by_more(device):
     sim.step()
     turned = 2 * np.linalg.norm(sim.get("orientation")[:, plank, :3] - start[:, :3], axis=1)
     assert (turned < 1.1 * np.linalg.norm(spin, axis=1) * sim.settings.dt + 1e-6).all()
+
+
+def test_a_top_precesses_as_steeply_as_it_started(device):
+    """A push-out keeps the direction of the angular momentum: a top without friction nutates as its energy permits."""
+    tilt, spin, length, tip = 0.3, 100.0, 0.06, 0.006
+    scene = Scene(gravity=(0, 0, -9.81), friction_combine="min")
+    scene.add_static(Plane(), friction=0.0)
+    shape = Compound([(part, (0, 0, 0), (0, 0, 0, 1)) for part in (Cylinder(0.06, 0.01), Capsule(tip, length))])
+    place, turn = (0, 0, length * np.cos(tilt) + tip), rotate_about((0, 1, 0), np.degrees(tilt))
+    axis = rotation_matrix(turn)[:, 2]
+    scene.add_body(shape, position=place, orientation=turn, angular_velocity=spin * axis)
+    sim, stages = opened(scene, device, settings=Settings(dt=DT))
+    across, _, along = np.diag(stages.model.bodies.inertia.numpy()[-1]).astype(np.float64)
+    weight = 9.81 * sim.get("mass")[0, -1] * length
+
+    def barrier(angle):
+        """Energy of a heavy symmetric top beyond that at the start; it is 0 at the limits of the nutation [J]."""
+        turning = along * spin * (np.cos(tilt) - np.cos(angle))
+        return turning**2 / (2 * across * np.sin(angle) ** 2) + weight * (np.cos(angle) - np.cos(tilt))
+
+    lowest = brentq(barrier, tilt + 1e-4, tilt + 0.1)
+    tilts = []
+    for _ in range(120):
+        sim.step(4)
+        tilts.append(np.arccos(rotation_matrix(sim.get("orientation")[0, -1])[2, 2]))
+    assert tilt - 0.002 < min(tilts) and max(tilts) < lowest + 0.002

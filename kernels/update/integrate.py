@@ -278,16 +278,29 @@ def energy_without_work(
     return wp.float64(0.5) * (gain - work) + turn_change
 
 
+@wp.func
+def spin_after_push(kept: wp.quatd, after: wp.quatd, spin: wp.vec3d, inertia: mat33d):
+    """Angular velocity after a push-out, which changes neither the energy nor the direction of the angular momentum."""
+    r = wp.quat_to_matrix(kept)
+    momentum = r * (inertia * (wp.transpose(r) * spin))
+    pushed = spin_of(after, momentum, wp.inverse(inertia))
+    energy = wp.dot(momentum, pushed)
+    if energy <= wp.float64(0.0):
+        return spin
+    return wp.sqrt(wp.dot(momentum, spin) / energy) * pushed
+
+
 @wp.kernel
-def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Environments, state: State):
+def integrate_positions(dt: float, bodies: Bodies, motions: Motions, graph: Graph, envs: Environments, state: State):
     """One thread per body: integrate position and orientation with the velocity and the push-out.
 
     Angular momentum is conserved. The rotation is computed in float64, and its rounding error is stored for the next
-    step; otherwise it would be the main error of the angular momentum. The angular velocity is rotated together with
-    the body by the push-out, which therefore does not change the energy; otherwise the spin of a thin rod about its
-    axis would become a fast spin about another axis. From its first impact on, a body follows its course (ccd.py). The
-    push-out prevents overlaps by the motion of the whole step, so a body is pushed as far as it makes that motion. The
-    joints of a mechanism are closed for the whole push-out.
+    step; otherwise it would be the main error of the angular momentum. The push-out keeps the energy and the direction
+    of the angular momentum. With a constant angular velocity, the spin of a thin rod about its axis would become a fast
+    spin about another axis; with one that turns with the body, a top would lean over. Velocities that obey joints turn
+    with the bodies. From its first impact on, a body follows its course (ccd.py). The push-out prevents overlaps by the
+    motion of the whole step, so a body is pushed as far as it makes that motion. The joints of a mechanism are closed
+    for the whole push-out.
     """
     b = wp.tid()
     moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
@@ -325,4 +338,8 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     center = wp.vec3d(bodies.center_of_mass[b])
     center_shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
     state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - center_shift)
-    store_turn(b, after, wp.quat_rotate(push, spin), state)
+    if bodies.motion[b] == Motion.DYNAMIC and graph.tied[b] == 0:
+        spin = spin_after_push(kept, after, spin, mat33d(bodies.inertia[b]))
+    else:
+        spin = wp.quat_rotate(push, spin)
+    store_turn(b, after, spin, state)

@@ -44,6 +44,14 @@ def keyframe_before(k: int, time: wp.float64, paths: Paths):
 
 
 @wp.func
+def segment_at(k: int, time: wp.float64, paths: Paths):
+    """Time of the keyframes, the keyframe before it, and the share of the time to the next one that has passed."""
+    t = time_on_path(k, time, paths)
+    i = keyframe_before(k, t, paths)
+    return t, i, (t - paths.time[i]) / (paths.time[i + 1] - paths.time[i])
+
+
+@wp.func
 def is_same(p: wp.quatd, q: wp.quatd):
     """Whether two quaternions are equal to the bit."""
     return p[0] == q[0] and p[1] == q[1] and p[2] == q[2] and p[3] == q[3]
@@ -69,9 +77,7 @@ def turned(q: wp.quatd, rotation: wp.vec3d):
 @wp.func
 def pose_at(k: int, time: wp.float64, paths: Paths):
     """Position and orientation on a path at a time: between keyframes the body moves and turns evenly."""
-    t = time_on_path(k, time, paths)
-    i = keyframe_before(k, t, paths)
-    share = (t - paths.time[i]) / (paths.time[i + 1] - paths.time[i])
+    _, i, share = segment_at(k, time, paths)
     position = paths.position[i] + share * (paths.position[i + 1] - paths.position[i])
     turn = turn_between(paths.orientation[i], paths.orientation[i + 1])
     return position, turned(paths.orientation[i], share * turn)
@@ -80,9 +86,7 @@ def pose_at(k: int, time: wp.float64, paths: Paths):
 @wp.func
 def turned_until(k: int, time: wp.float64, paths: Paths):
     """Sum of the turns on a path until a time, those of its repetitions included [rad]."""
-    t = time_on_path(k, time, paths)
-    i = keyframe_before(k, t, paths)
-    share = (t - paths.time[i]) / (paths.time[i + 1] - paths.time[i])
+    t, i, share = segment_at(k, time, paths)
     total = paths.turned[i] + share * (paths.turned[i + 1] - paths.turned[i])
     first = paths.time[paths.first[k]]
     if paths.loop[k] == 1 and time > first:

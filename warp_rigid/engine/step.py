@@ -288,7 +288,9 @@ class Stages:
         """Position update, with checks for non-finite states before it and for bodies out of bounds after it."""
         bodies = self.model.bodies
         self.per_body(integrate.find_non_finite, [bodies, self.motions], [self.envs])
-        self.per_body(integrate.integrate_positions, [self.dt, bodies, self.motions, self.envs], [self.state])
+        self.per_body(
+            integrate.integrate_positions, [self.dt, bodies, self.motions, self.pools.graph, self.envs], [self.state]
+        )
         if self.bounded:
             self.per_body(integrate.keep_inside, [bodies, self.motions], [self.state, self.envs])
         self.per_env(integrate.close_step, [self.pools.graph], [self.envs])
