@@ -27,14 +27,12 @@ NAMES = Sdf.ValueTypeNames
 
 @dataclass(eq=False)
 class _Group:
-    """One instancer: its bodies and their latest values."""
+    """One instancer: its bodies, the corners of the bounds of their shape, and their latest poses."""
 
     bodies: np.ndarray
     corners: np.ndarray
     position: np.ndarray
     orientation: np.ndarray
-    color: np.ndarray
-    active: np.ndarray
     tracks: dict[str, Track] = field(default_factory=dict)
 
 
@@ -57,23 +55,21 @@ class Instancers:
         self._hides = may_hide(self._film, self._row)
         self._groups: list[_Group] = []
         self._paths: dict[int, str] = {}
-        colors = frame_colors(self._color, self._film, self._row, frame)
+        self._colors = frame_colors(self._color, self._film, self._row, frame)
         looks, layer = drawn_looks(self._film, self._color), self._samples.layer
         for name, bodies in _groups(self._film, looks).items():
             surface = self._film.surface[bodies[0]]
             group = _Group(
                 bodies,
                 bound_corners(self._film.surfaces[surface].vertices_at(frame.time)),
-                np.ascontiguousarray(frame.position[self._row, bodies]),
-                np.ascontiguousarray(frame.orientation[self._row, bodies]),
-                colors[bodies],
-                frame.active[self._row, bodies],
+                frame.position[self._row, bodies],
+                frame.orientation[self._row, bodies],
             )
             self._define_group(f"{root}/{name}", group, library, frame)
             look = looks.get(int(bodies[0]))
             if look and look.image:
                 prototypes = f"{root}/{name}/Prototypes"
-                define_surface(layer, f"{prototypes}/paint", colors[bodies[0]], look, library.images)
+                define_surface(layer, f"{prototypes}/paint", self._colors[bodies[0]], look, library.images)
                 prototype = define(layer, f"{prototypes}/shape", "Mesh", ["MaterialBindingAPI"])
                 set_relationship(prototype, "material:binding", f"{prototypes}/paint")
             self._paths |= dict.fromkeys(bodies.tolist(), f"{root}/{name}")
@@ -88,8 +84,8 @@ class Instancers:
         for group in self._groups:
             if self._film.surface[group.bodies[0]] == index:
                 group.corners = bound_corners(surface.vertices)
-                path = f"{self.path_of(int(group.bodies[0]))}.extent"
-                self._samples.layer.GetAttributeAtPath(path).default = _pose_values(group)["extent"]
+                extent = group.tracks["extent"]
+                extent.value = self._samples.layer.GetAttributeAtPath(extent.path).default = _extent(group)
 
     def _define_group(self, path: str, group: _Group, library: Library, frame: Frame) -> None:
         layer = self._samples.layer
@@ -103,47 +99,43 @@ class Instancers:
         indices = np.zeros(len(group.bodies), dtype=np.int32)
         set_attribute(prim, "protoIndices", NAMES.IntArray, Vt.IntArray.FromNumpy(indices))
         set_attribute(prim, "ids", NAMES.Int64Array, Vt.Int64Array.FromNumpy(group.bodies.astype(np.int64)))
-        values = {**_pose_values(group), "primvars:displayColor": vec3f(group.color)}
-        if self._velocities:
-            values |= self._velocity_values(group, frame)
-        if self._hides:
-            values["invisibleIds"] = _hidden(group)
         gloss = body_gloss(len(self._film.motion), self._film.looks)[group.bodies]
         for column, name in enumerate(("roughness", "metallic") if self._film.looks else ()):
             value = Vt.FloatArray.FromNumpy(np.ascontiguousarray(gloss[:, column]))
             set_attribute(prim, f"primvars:{name}", NAMES.FloatArray, value, interpolation="vertex")
-        for name, value in values.items():
+        for name, value in self._values(group, frame).items():
             vertex = "vertex" if name.startswith("primvars:") else ""
             attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)
             group.tracks[name] = self._samples.track(attribute)
 
     def sample(self, time: float, frame: Frame) -> None:
-        """Write the values that changed since the previous frame."""
-        colors = None if self._color in CONSTANT_COLORINGS else frame_colors(self._color, self._film, self._row, frame)
+        """Write a frame."""
+        if self._color not in CONSTANT_COLORINGS:
+            self._colors = frame_colors(self._color, self._film, self._row, frame)
         for group in self._groups:
-            position = np.ascontiguousarray(frame.position[self._row, group.bodies])
-            orientation = np.ascontiguousarray(frame.orientation[self._row, group.bodies])
-            # q and -q are the same rotation; equal signs let readers interpolate along the short arc.
-            opposite = np.einsum("ij,ij->i", orientation, group.orientation) < 0.0
-            orientation[opposite] *= -1.0
-            values: dict[str, Any] = {}
             surface = self._film.surfaces[self._film.surface[group.bodies[0]]]
             if surface.moves:
                 group.corners = bound_corners(surface.vertices_at(frame.time))
-            still = np.array_equal(position, group.position) and np.array_equal(orientation, group.orientation)
-            if surface.moves or not still:
-                group.position, group.orientation = position, orientation
-                values |= _pose_values(group)
-            if colors is not None and not np.array_equal(colors[group.bodies], group.color):
-                group.color = colors[group.bodies]
-                values["primvars:displayColor"] = vec3f(group.color)
-            if self._velocities:
-                values |= self._velocity_values(group, frame)
-            active = frame.active[self._row, group.bodies]
-            if self._hides and not np.array_equal(active, group.active):
-                group.active = active
-                values["invisibleIds"] = _hidden(group)
-            self._samples.put([group.tracks[name] for name in values], time, values.values())
+            orientation = frame.orientation[self._row, group.bodies]
+            # q and -q are the same rotation; equal signs let readers interpolate along the short arc.
+            orientation[np.einsum("ij,ij->i", orientation, group.orientation) < 0.0] *= -1.0
+            group.position, group.orientation = frame.position[self._row, group.bodies], orientation
+            self._samples.put(group.tracks.values(), time, self._values(group, frame).values())
+
+    def _values(self, group: _Group, frame: Frame) -> dict[str, Any]:
+        """The values of the attributes of a group, which has the poses of the frame."""
+        values = {
+            "positions": vec3f(group.position),
+            "orientationsf": Vt.QuatfArray.FromNumpy(np.ascontiguousarray(group.orientation)),
+            "extent": _extent(group),
+            "primvars:displayColor": vec3f(self._colors[group.bodies]),
+        }
+        if self._velocities:
+            values |= self._velocity_values(group, frame)
+        if self._hides:
+            hidden = group.bodies[~frame.active[self._row, group.bodies]]
+            values["invisibleIds"] = Vt.Int64Array.FromNumpy(hidden.astype(np.int64))
+        return values
 
     def _velocity_values(self, group: _Group, frame: Frame) -> dict:
         """Linear velocities of the instance origins [m/s] and angular velocities [degree/s]."""
@@ -182,10 +174,6 @@ def may_hide(film: Recording, row: int) -> bool:
     return removes or not film.active[:, row].all()
 
 
-def _hidden(group: _Group) -> Any:
-    return Vt.Int64Array.FromNumpy(group.bodies[~group.active].astype(np.int64))
-
-
 def _center(film: Recording, body: int) -> np.ndarray:
     """Centre of mass of a body in its own frame; the origin for a recording from a file, which lacks the scene."""
     if film.scene is None or not is_moving(film.motion[body]):
@@ -206,26 +194,17 @@ def _groups(film: Recording, looks: dict[int, Look]) -> dict[str, np.ndarray]:
     return groups
 
 
-def _pose_values(group: _Group) -> dict:
-    """Positions, orientations and the bounding box of all instances."""
-    reach = _bounding_box(group.position, group.orientation, group.corners)
-    return {
-        "positions": vec3f(group.position),
-        "orientationsf": Vt.QuatfArray.FromNumpy(group.orientation),
-        "extent": vec3f(reach),
-    }
-
-
-def _bounding_box(position: np.ndarray, orientation: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Bounding box of all instances of a shape with these bounding box corners, (2, 3) float32 [m].
+def _extent(group: _Group) -> Vt.Vec3fArray:
+    """Bounding box of all instances.
 
     Vectorised over the instances, since it runs in every frame.
     """
-    center, half = (corners[-1] + corners[0]) / 2.0, (corners[-1] - corners[0]) / 2.0
-    rows = matrix_rows(np.ascontiguousarray(orientation.T).T)
+    lower, upper = group.corners[0], group.corners[-1]
+    center, half = (upper + lower) / 2.0, (upper - lower) / 2.0
+    rows = matrix_rows(np.ascontiguousarray(group.orientation.T).T)
     box = np.empty((2, 3), dtype=np.float32)
     for axis, row in enumerate(rows):
-        middle = position[:, axis] + sum(factor * c for factor, c in zip(row, center, strict=True) if c != 0.0)
+        middle = group.position[:, axis] + sum(factor * c for factor, c in zip(row, center, strict=True) if c != 0.0)
         reach = sum(np.abs(factor) * h for factor, h in zip(row, half, strict=True))
         box[:, axis] = (middle - reach).min(), (middle + reach).max()
-    return box
+    return vec3f(box)

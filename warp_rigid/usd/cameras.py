@@ -56,9 +56,7 @@ class CameraWriter:
     def sample(self, time: float, frame: Frame) -> None:
         """Move a camera that follows a body."""
         if self._tracks:
-            matrix = _matrix(*self._followed(frame))
-            if matrix != self._tracks[0].value:
-                self._samples.put(self._tracks, time, [matrix])
+            self._samples.put(self._tracks, time, [_matrix(*self._followed(frame))])
 
     def place(self, lower: np.ndarray, upper: np.ndarray, offset: np.ndarray) -> None:
         """Place the camera, when the extent of the film is known.

@@ -40,20 +40,14 @@ class ContactMarks:
             set_attribute(prim, "widths", NAMES.FloatArray, widths, interpolation="constant")
             hue = Vt.Vec3fArray([color])
             set_attribute(prim, "primvars:displayColor", NAMES.Color3fArray, hue, interpolation="constant")
-        values = self._values(frame)
-        for key, value in values.items():
+        for key, value in self._values(frame).items():
             prim = points if key.startswith("point") else lines
             name = key.split(".")[1]
             self._tracks[key] = samples.track(set_attribute(prim, name, _TYPES[name], value))
-        self._count = len(values["points.points"])
 
     def sample(self, time: float, frame: Frame) -> None:
         """Write a frame."""
-        values = self._values(frame)
-        count = len(values["points.points"])
-        if count or self._count:
-            self._samples.put([self._tracks[key] for key in values], time, values.values())
-        self._count = count
+        self._samples.put(self._tracks.values(), time, self._values(frame).values())
 
     def _values(self, frame: Frame) -> dict:
         assert frame.contacts is not None

@@ -150,28 +150,20 @@ class Bodies:
             set_relationship(over, "physics:simulationOwner", owner)
 
     def sample(self, time: float, frame: Frame) -> None:
-        """Write the values that changed since the previous frame."""
-        position, orientation = frame.position[self._row], frame.orientation[self._row].copy()
+        """Write a frame."""
+        orientation = frame.orientation[self._row].copy()
         orientation[np.einsum("ij,ij->i", orientation, self._orientation) < 0.0] *= -1.0
-        moved = np.flatnonzero((position != self._position).any(axis=1))
-        values = Vt.Vec3dArray.FromNumpy(position[moved].astype(np.float64))
-        self._samples.put([self._tracks["place"][index] for index in moved.tolist()], time, values)
-        rotated = np.flatnonzero((orientation != self._orientation).any(axis=1))
-        values = Vt.QuatdArray.FromNumpy(precise_quaternions(orientation[rotated]))
-        self._samples.put([self._tracks["orientation"][index] for index in rotated.tolist()], time, values)
-        self._position, self._orientation = position.copy(), orientation
+        self._orientation = orientation
+        values: dict[str, Any] = {
+            "place": Vt.Vec3dArray.FromNumpy(frame.position[self._row].astype(np.float64)),
+            "orientation": Vt.QuatdArray.FromNumpy(precise_quaternions(orientation)),
+        }
         if self._hides:
-            active = frame.active[self._row]
-            switched = np.flatnonzero(active != self._active).tolist()
-            tracks = [self._tracks["visibility"][index] for index in switched]
-            self._samples.put(tracks, time, [VISIBILITY[int(active[index])] for index in switched])
-            self._active = active
+            values["visibility"] = [VISIBILITY[int(active)] for active in frame.active[self._row]]
         if self._color not in CONSTANT_COLORINGS:
-            colors = frame_colors(self._color, self._film, self._row, frame)
-            changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()
-            tracks = [self._tracks["color"][index] for index in changed]
-            self._samples.put(tracks, time, [vec3f([colors[index]]) for index in changed])
-            self._colors = colors
+            values["color"] = [vec3f([color]) for color in frame_colors(self._color, self._film, self._row, frame)]
+        for name, of_bodies in values.items():
+            self._samples.put(self._tracks[name], time, of_bodies)
 
 
 def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray, fields: Sequence[ForceField]) -> None:

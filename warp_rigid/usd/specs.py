@@ -164,9 +164,11 @@ class SampleWriter:
         return made
 
     def put(self, tracks: Iterable[Track], time: float, values: Iterable[Any]) -> None:
-        """Write the changed values of some tracks, one per track; one frame is one time code."""
+        """Write the values of some tracks in a frame, one per track, where they change; one frame is one time code."""
         write, before = self.layer.SetTimeSample, time - 1.0
         for track, value in zip(tracks, values, strict=True):
+            if value == track.value:
+                continue
             if track.written != before:
                 write(track.path, before, track.value)
             write(track.path, time, value)
