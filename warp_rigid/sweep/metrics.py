@@ -8,7 +8,6 @@ import numpy as np
 from warp_rigid.checks import shown, suggestion
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.user_code import check_columns
-from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
 
 
@@ -23,7 +22,7 @@ class MetricRecorder:
     def __init__(self, sim: Simulator, metrics: Sequence[str]) -> None:
         """Store the initial state."""
         self.sim, self.metrics = sim, metrics
-        self.dynamic = _dynamic_bodies(sim)
+        self.dynamic = sim.get("mass") > 0.0
         self.start = self.centers()
         self.present_at_start = self.present()
         self.slow_from = np.zeros(sim.num_envs)
@@ -173,14 +172,6 @@ def measure(function: Callable, sim: Any) -> np.ndarray:
 def _highest(centers: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Height of the highest centre of some bodies, (envs,) [m]; -infinity if there is none."""
     return np.where(mask, centers[..., 2], -np.inf).max(axis=1)
-
-
-def _dynamic_bodies(sim: Simulator) -> np.ndarray:
-    """Mask of the dynamic bodies, (envs, bodies)."""
-    mask = np.zeros((len(sim.scenes), sim.num_bodies), bool)
-    for index, scene in enumerate(sim.scenes):
-        mask[index, : len(scene.bodies)] = [body.motion == Motion.DYNAMIC for body in scene.bodies]
-    return mask[sim.scene_of]
 
 
 def _initial_bounds(sim: Simulator) -> tuple[np.ndarray, np.ndarray]:
