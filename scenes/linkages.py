@@ -35,23 +35,36 @@ def build(speed: float = 2.0) -> Scene:
     """
     speed = number_in("speed", speed, 0.1, 5.0)
     scene = Scene(gravity=(0, 0, 0), camera=Camera.orbit(0.0, 60.0))
+    for joint in (add_four_bar(scene, (math.cos(1.0), math.sin(1.0))), add_slider_crank(scene, (0.0, 1.0), AWAY)):
+        scene.add_drive(joint, damping=1e4, target_velocity=speed)
+    return scene
+
+
+def add_four_bar(scene, toward) -> int:
+    """Add a crank in a direction (2,) of the plane, a coupler and a rocker; returns the hinge of the crank."""
     a, d = np.zeros(2), np.array([BASE, 0.0])
-    b = CRANK * np.array([math.cos(1.0), math.sin(1.0)])
+    b = CRANK * np.array(toward)
     c = third_corner(b, d, COUPLER, ROCKER)
     crank, coupler = _bar(scene, "crank", a, b, 0), _bar(scene, "coupler", b, c, 1)
     rocker = _bar(scene, "rocker", d, c, 2)
-    _drive(scene, _hinge(scene, crank, None, a), speed)
+    driven = _hinge(scene, crank, None, a)
     for body, other, point in ((coupler, crank, b), (rocker, coupler, c), (rocker, None, d)):
         _hinge(scene, body, other, point)
-    origin = np.array([0.0, AWAY])
-    b, c = origin + (0.0, CRANK), origin + (math.sqrt(ROD**2 - CRANK**2), 0.0)
-    crank, rod = _bar(scene, "second_crank", origin, b, 0), _bar(scene, "rod", b, c, 1)
+    return driven
+
+
+def add_slider_crank(scene, toward, away=0.0) -> int:
+    """Add a crank in a direction (2,), a rod and a slider along x at y = away [m]; returns the hinge of the crank."""
+    a = np.array([0.0, away])
+    b = a + CRANK * np.array(toward)
+    c = np.array([b[0] + math.sqrt(ROD**2 - (CRANK * toward[1]) ** 2), away])
+    crank, rod = _bar(scene, "second_crank", a, b, 0), _bar(scene, "rod", b, c, 1)
     slider = scene.add_body(Box((0.06, 0.04, 0.02)), position=(*c, 2 * LAYER), name="slider")
-    _drive(scene, _hinge(scene, crank, None, origin), speed)
+    driven = _hinge(scene, crank, None, a)
     _hinge(scene, rod, crank, b)
     _hinge(scene, slider, rod, c)
     scene.add_joint(PrismaticJoint((1, 0, 0)), slider, anchor=(*c, 2 * LAYER))
-    return scene
+    return driven
 
 
 def _bar(scene, name, p, q, layer):
@@ -65,10 +78,6 @@ def _bar(scene, name, p, q, layer):
 
 def _hinge(scene, body, other, point):
     return scene.add_joint(RevoluteJoint((0, 0, 1)), body, other, anchor=(*point, 0))
-
-
-def _drive(scene, joint, speed):
-    scene.add_drive(joint, damping=1e4, target_velocity=speed)
 
 
 class LinkageOutcome(SceneOutcome):

@@ -8,10 +8,10 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.kernels.enums import Coordinate
-from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint, SphericalJoint
+from warp_rigid.scene.joints import DistanceJoint, SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.scenes.linkages import LAYER, third_corner
+from warp_rigid.scenes import linkages
 from warp_rigid.validation.articulated import exact_period, pendulum, period_of
 from warp_rigid.validation.case import Cases, Check, ValidationCase, at_most, case, measured, relative
 from warp_rigid.validation.common import G
@@ -23,8 +23,6 @@ RATES = (60, 240, 120, 480)
 """Steps per second; the first two for the whole time."""
 SHORT = 10.0
 """Time of the loss of energy, and of long chains [s]."""
-AXIS = (0.0, 1.0, 0.0)
-"""Axis of hinges: linkages move in the plane of x and z."""
 
 
 def cases(quick: bool) -> Cases:
@@ -187,35 +185,13 @@ def chain(links: int) -> Scene:
 
 def four_bar() -> Scene:
     """Crank, coupler and rocker of 0.3, 0.9 and 0.7 m on a base of 1 m, let go with the crank upright."""
-    scene = Scene(gravity=(0, 0, -G))
-    a, d = np.zeros(2), np.array([1.0, 0.0])
-    b = np.array([0.0, 0.3])
-    c = third_corner(b, d, 0.9, 0.7)
-    crank, coupler, rocker = _bar(scene, a, b, 0), _bar(scene, b, c, 1), _bar(scene, d, c, 2)
-    for body, other, point in ((crank, None, a), (coupler, crank, b), (rocker, coupler, c), (rocker, None, d)):
-        scene.add_joint(RevoluteJoint(AXIS), body, other, anchor=(point[0], 0.0, point[1]))
+    scene = Scene(gravity=(0, -G, 0))
+    linkages.add_four_bar(scene, (0.0, 1.0))
     return scene
 
 
 def slider_crank() -> Scene:
     """A crank of 0.3 m and a rod of 0.8 m that moves a slider, let go with the crank at 60 degrees."""
-    scene = Scene(gravity=(0, 0, -G))
-    a, b = np.zeros(2), 0.3 * np.array([np.cos(np.pi / 3.0), np.sin(np.pi / 3.0)])
-    c = np.array([b[0] + np.sqrt(0.8**2 - b[1] ** 2), 0.0])
-    crank, rod = _bar(scene, a, b, 0), _bar(scene, b, c, 1)
-    slider = scene.add_body(Box((0.06, 0.02, 0.04)), position=(c[0], 2.0 * LAYER, 0.0))
-    for body, other, point in ((crank, None, a), (rod, crank, b), (slider, rod, c)):
-        scene.add_joint(RevoluteJoint(AXIS), body, other, anchor=(point[0], 0.0, point[1]))
-    scene.add_joint(PrismaticJoint((1, 0, 0)), slider, anchor=(c[0], 0.0, 0.0))
+    scene = Scene(gravity=(0, -G, 0))
+    linkages.add_slider_crank(scene, (np.cos(np.pi / 3.0), np.sin(np.pi / 3.0)))
     return scene
-
-
-def _bar(scene: Scene, p: np.ndarray, q: np.ndarray, layer: int) -> int:
-    """A bar between two points of the plane, in one of the layers."""
-    middle, along = 0.5 * (p + q), q - p
-    angle = float(np.arctan2(-along[1], along[0]))
-    return scene.add_body(
-        Box((0.5 * float(np.linalg.norm(along)), 0.02, 0.02)),
-        position=(middle[0], layer * LAYER, middle[1]),
-        orientation=rotations.about_axis(AXIS, angle),
-    )
