@@ -114,6 +114,19 @@ def test_interpolation_crosses_the_border_of_two_clips(recording, tmp_path):
             np.testing.assert_allclose(one[key], other[key], atol=1e-6)
 
 
+def test_clips_have_the_extent_of_the_drawn_ground(tmp_path):
+    """Bodies far from the middle make it wider; the clips had that of the narrower one."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(), name="ground")
+    scene.add_body(wr.Sphere(0.5), position=(8.0, 0.0, 0.5), name="ball")
+    film = wr.record(wr.Simulator(scene), frames=FLUSH_EVERY + 2, progress=False)
+    wr.export_usd(film, tmp_path / "film.usdc", profile="animation", layout="clips")
+    stage = Usd.Stage.Open(str(tmp_path / "film.usdc"))
+    extent = stage.GetPrimAtPath("/World/env_0000/ground").GetAttribute("extent")
+    for frame in (0, 1, FLUSH_EVERY, FLUSH_EVERY + 2):
+        assert np.ptp(extent.Get(frame), axis=0)[0] > 30.0
+
+
 def test_payloads_can_stay_closed(recording, tmp_path):
     wr.export_usd(recording, tmp_path / "film.usdc", layout="payloads", envs=[0, 2])
     stage = Usd.Stage.Open(str(tmp_path / "film.usdc"), Usd.Stage.LoadNone)
