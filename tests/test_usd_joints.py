@@ -181,6 +181,23 @@ def test_springs_references_and_servos_of_mujoco_become_drives(tmp_path):
     }
 
 
+def test_a_drive_without_force_stays_without_force(tmp_path):
+    """A motor that a program has switched off; the arm falls as before, with or without it."""
+    scene = wr.Scene()
+    arm = scene.add_body(wr.Box((0.2, 0.03, 0.03)), position=(0.2, 0, 1), mass=1.0)
+    hinge = scene.add_joint(wr.RevoluteJoint((0, 1, 0)), arm, anchor=(0, 0, 1))
+    scene.add_drive(hinge, stiffness=500.0, damping=20.0, max_force=30.0)
+    sim = wr.Simulator(scene, device="cpu")
+    sim.set("joint_max_force", 0.0)
+    recording = wr.record(sim, frames=15)
+    wr.export_usd(recording, tmp_path / "off.usda", profile="scene")
+    back = wr.import_usd(tmp_path / "off.usda", strict=True)
+    assert back.joints[0].drive.max_force == 0.0
+    again = wr.record(wr.Simulator(back, device="cpu"), frames=15)
+    np.testing.assert_allclose(again.position, recording.position, rtol=0, atol=1e-6)
+    assert recording.position[-1, 0, 0, 2] < 0.85
+
+
 def test_a_joint_with_a_group_of_bodies_holds_the_world(tmp_path):
     """Converters name the root of the file as the world, below which there may be a single collider."""
     link = (

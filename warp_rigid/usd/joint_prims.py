@@ -349,8 +349,8 @@ def _authored(prim: Usd.Prim, name: str) -> float:
 
 
 def _limit(value: float) -> float:
-    """A positive limit; the largest float32 stands for infinity."""
-    return value if 0.0 < value < 1.0e37 else math.inf
+    """A limit of a force; the largest float32 stands for infinity."""
+    return value if 0.0 <= value < 1.0e37 else math.inf
 
 
 def _range(limit: Any, unit: float, start: float) -> tuple[float, float] | None:

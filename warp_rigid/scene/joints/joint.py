@@ -97,7 +97,7 @@ class Drive:
         """Check the values."""
         for name in ("stiffness", "damping"):
             object.__setattr__(self, name, number_in(name, getattr(self, name), 0.0))
-        object.__setattr__(self, "max_force", largest("max_force", self.max_force))
+        object.__setattr__(self, "max_force", largest("max_force", self.max_force, low=0.0))
         for name in ("target_position", "target_velocity"):
             object.__setattr__(self, name, number_in(name, getattr(self, name)))
 
@@ -143,11 +143,11 @@ class JointEntry:
         return first, second
 
 
-def largest(name: str, value: Any) -> float:
-    """Check a positive number that may be infinite."""
+def largest(name: str, value: Any, **bounds: float) -> float:
+    """Check a number that may be infinite; `bounds` as for number_in."""
     if isinstance(value, int | float | np.number) and value == math.inf:
         return math.inf
-    return number_in(name, value, above=0.0)
+    return number_in(name, value, **bounds)
 
 
 def unit_axis(value: Any) -> Vector3:

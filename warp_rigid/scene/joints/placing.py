@@ -120,7 +120,7 @@ def _check_anchors(joint: Joint, a: Any, b: Any, frame_a: JointFrame, frame_b: J
 def _checked_rest(joint: Joint, more: dict[str, Any]) -> dict[str, Any]:
     """Check the remaining attributes of an entry."""
     for name in ("break_force", "break_torque"):
-        more[name] = largest(name, more[name])
+        more[name] = largest(name, more[name], above=0.0)
     more["armature"] = number_in("armature", more["armature"], 0.0)
     if more["armature"] > 0.0 and joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
         raise ValueError(f"armature: needs a RevoluteJoint or a PrismaticJoint, got a {type(joint).__name__}")
