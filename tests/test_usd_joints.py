@@ -181,6 +181,30 @@ def test_springs_references_and_servos_of_mujoco_become_drives(tmp_path):
     }
 
 
+@pytest.mark.parametrize(
+    ("kind", "values", "lost"),
+    [
+        ("Spherical", "float drive:rotX:physics:stiffness = 100\n float limit:rotX:physics:low = -5", 2),
+        ("Spherical", "float newton:friction = 3\n float newton:damping = 0.5\n float newton:armature = 0.1", 2),
+        ("Spherical", "float physics:coneAngle0Limit = 20", 1),
+        ("Spherical", "float physics:coneAngle0Limit = 0\n float physics:coneAngle1Limit = 0", 1),
+        ("Distance", "float newton:friction = 3\n float drive:distance:physics:stiffness = 100", 2),
+        ("Fixed", "float newton:damping = 0.5", 1),
+        ("Revolute", "float drive:linear:physics:stiffness = 100\n float newton:friction = 3", 1),
+        ("Prismatic", "float drive:linear:physics:stiffness = 100\n float newton:friction = 0", 0),
+    ],
+)
+def test_what_a_kind_of_joint_cannot_have_is_told(tmp_path, kind, values, lost):
+    """Each drive, limit and resistance that is lost has one finding."""
+    schemas = ("PhysicsDriveAPI:rotX", "PhysicsDriveAPI:linear", "PhysicsDriveAPI:distance", "PhysicsLimitAPI:rotX")
+    applied = ", ".join(f'"{schema}"' for schema in (*schemas, "NewtonJointAPI"))
+    joint = f'def Physics{kind}Joint "Joint" (prepend apiSchemas = [{applied}]) {{\n rel physics:body0 = </World/A>\n'
+    ends = " rel physics:body1 = </World/B>\n point3f physics:localPos0 = (0, 0, -1)\n float physics:maxDistance = 3\n"
+    text = f"{TWO_BODIES}{joint}{ends} point3f physics:localPos1 = (0, 0, 1)\n {values}\n}}\n"
+    report = wr.import_usd(write_stage(tmp_path / "lost.usda", text)).import_report
+    assert [finding.path for finding in report.findings] == ["/World/Joint"] * lost
+
+
 def test_a_drive_without_force_stays_without_force(tmp_path):
     """A motor that a program has switched off; the arm falls as before, with or without it."""
     scene = wr.Scene()

@@ -34,6 +34,13 @@ from warp_rigid.usd.usd_file import JOINT_KINDS, Types, UsdFile
 
 NAMES = Sdf.ValueTypeNames
 JOINT_SCHEMAS = {"PhysicsDriveAPI", "PhysicsLimitAPI"}
+RESISTANCES = ("newton:friction", "newton:damping", "newton:armature", "mjc:stiffness")
+POSSIBLE = {
+    Types.RevoluteJoint: {"drive:angular", *RESISTANCES},
+    Types.PrismaticJoint: {"drive:linear", *RESISTANCES},
+    Types.SphericalJoint: {"newton:damping"},
+}
+"""Which drives and resistances a kind of joint can have."""
 AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 PARALLEL = 0.9999
 """Cosine from which on two axes count as parallel."""
@@ -186,6 +193,7 @@ class JointReader:
         if not description.collisionEnabled:
             for side, path in ((first, description.rel0), (second, description.rel1)):
                 self._filter_static(body_a, side[0], str(path))
+        self._tell_losses(prim, description.type)
         self._add_drive(index, prim, description)
         if self._is_held_by_others(index):
             held = "another joint holds the same bodies about another axis, which prevents both rotations"
@@ -252,21 +260,25 @@ class JointReader:
         if kind == Types.FixedJoint:
             return FixedJoint()
         angles = [prim.GetAttribute(f"physics:coneAngle{k}Limit").Get() for k in (0, 1)]
-        given = [angle for angle in angles if angle is not None and angle > 0.0]
-        if len(set(given)) > 1:
+        given = {math.inf if angle is None or angle < 0.0 else math.radians(angle) for angle in angles}
+        if len(given) > 1:
             self._file.change(prim, "both cone angles are the smaller one")
-        return SphericalJoint(math.radians(min(given)) if given else None, AXES["X"])
+        return SphericalJoint(None if min(given) == math.inf else min(given), AXES["X"])
 
     def _armature(self, prim: Usd.Prim, kind: Any) -> float:
         """Armature of a joint by Newton's schema [kg m^2 or kg]."""
         value = _authored(prim, "newton:armature")
         if kind == Types.RevoluteJoint:
             return value * self._file.kilogram * self._file.meter**2
-        if kind == Types.PrismaticJoint:
-            return value * self._file.kilogram
-        if value > 0.0:
-            self._file.leave_out(prim.GetPath(), "newton:armature: supported for hinges and sliders only")
-        return 0.0
+        return value * self._file.kilogram if kind == Types.PrismaticJoint else 0.0
+
+    def _tell_losses(self, prim: Usd.Prim, kind: Any) -> None:
+        """Report drives, limits and resistances that a file states for a joint whose kind cannot have them."""
+        motors = [name for name in prim.GetAuthoredPropertyNames() if name.startswith(("drive:", "limit:"))]
+        stated = dict.fromkeys(":".join(name.split(":")[:2]) for name in motors)
+        for name in [*stated, *(name for name in RESISTANCES if _authored(prim, name) > 0.0)]:
+            if name not in POSSIBLE.get(kind, ()):
+                self._file.leave_out(prim.GetPath(), f"{name}: not supported for a {str(kind).rpartition('.')[2]}")
 
     def _units(self, kind: Any) -> tuple[float, float]:
         """Units of force or torque, and of the coordinate, of a joint in the file."""
@@ -301,8 +313,7 @@ class JointReader:
     def _add_spring(self, joint: int, prim: Usd.Prim, description: Any, damping: float) -> None:
         """Add the damping of a joint, and the spring and the servo that files of MuJoCo give it, as one drive."""
         stiffness, servo = _authored(prim, "mjc:stiffness"), self._servos.get(str(prim.GetPath()))
-        if description.type == Types.SphericalJoint and stiffness > 0.0:
-            self._file.leave_out(prim.GetPath(), "mjc:stiffness: supported for hinges and sliders only")
+        if description.type == Types.SphericalJoint:
             stiffness = 0.0
         rest, start = (self._mujoco_coordinate(prim, description.type, name) for name in ("springref", "ref"))
         torque = stiffness * (rest - start)
