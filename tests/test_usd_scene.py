@@ -282,6 +282,24 @@ def test_what_was_set_before_the_recording_comes_back(tmp_path):
     assert np.abs(recording.position[-1, 0] - recording.position[-1, 1]).max() > 0.1
 
 
+def test_joints_with_the_world_are_at_the_place_of_their_environment(tmp_path):
+    """A pendulum and a weight on a string in three environments, which the file places beside each other."""
+    scene = wr.Scene()
+    arm = scene.add_body(wr.Box((0.2, 0.03, 0.03)), position=(0.2, 0, 1), name="world")
+    scene.add_joint(wr.RevoluteJoint((0, 1, 0)), arm, anchor=(0, 0, 1))
+    weight = scene.add_body(wr.Sphere(0.05), position=(1, 0, 1))
+    scene.add_joint(wr.DistanceJoint(maximum=0.5), weight, anchor=(1, 0, 1), anchor_b=(1.2, 0, 1.4))
+    recording = wr.record(wr.Simulator(scene, num_envs=3, device="cpu"), frames=20)
+    wr.export_usd(recording, tmp_path / "three.usda", profile="scene")
+    back = wr.import_usd(tmp_path / "three.usda", strict=True)
+    sim = wr.Simulator(back, device="cpu")
+    start = sim.get("position")[0]
+    sim.step(80)
+    moved = (sim.get("position")[0] - start).reshape(3, 2, 3)
+    np.testing.assert_allclose(moved, recording.position[-1] - recording.position[0], rtol=0, atol=1e-5)
+    assert np.ptp(start[:, 0]) > 2.0 and np.abs(moved[:, 0, 2]).min() > 0.1
+
+
 @pytest.mark.parametrize("suffix", [".usdc", ".usda"])
 def test_bounds_come_back(tmp_path, suffix):
     """With what happens to a body that leaves them; where there is no bound, they are infinite."""

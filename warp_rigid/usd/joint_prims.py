@@ -382,7 +382,7 @@ def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, values: JointVal
         path: of the prim.
         entry: the joint.
         values: its values, which can differ from those of the entry.
-        paths: paths of the bodies.
+        paths: paths of the bodies, and last that of the world of their environment.
     """
     numbers, coordinate = values.numbers, entry.joint.coordinate
     kind = "angular" if coordinate == Coordinate.ANGLE else "linear"
@@ -394,8 +394,7 @@ def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, values: JointVal
     if armature > 0.0:
         set_attribute(prim, "newton:armature", NAMES.Float, armature)
     for end, body, frame in (("0", entry.body_b, entry.frame_b), ("1", entry.body_a, entry.frame_a)):
-        if body is not None:
-            set_relationship(prim, f"physics:body{end}", paths[body])
+        set_relationship(prim, f"physics:body{end}", paths[-1 if body is None else body])
         set_attribute(prim, f"physics:localPos{end}", NAMES.Point3f, Gf.Vec3f(*frame.position))
         set_attribute(prim, f"physics:localRot{end}", NAMES.Quatf, gf_quaternion(frame.orientation))
     set_attribute(prim, "physics:collisionEnabled", NAMES.Bool, entry.collide)

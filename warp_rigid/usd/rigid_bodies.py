@@ -27,6 +27,8 @@ from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, write_surface_motion
 
 NAMES = Sdf.ValueTypeNames
 PHYSICS_SCENE = "PhysicsScene"
+ENV_WORLD = "world"
+"""Name of the prim to which joints with the world refer: without a prim, USD takes the origin of the stage."""
 
 
 class Bodies:
@@ -58,7 +60,7 @@ class Bodies:
         back = inverse(self._orientation)
         self._velocity = vec3f(rotate(back, start["linear_velocity"][self._row]))
         self._spin = vec3f(np.degrees(rotate(back, start["angular_velocity"][self._row])))
-        taken = dict.fromkeys((PHYSICS_SCENE, "contacts", "impulses"), 1)
+        taken = dict.fromkeys((PHYSICS_SCENE, ENV_WORLD, "contacts", "impulses"), 1)
         for index, body in enumerate(scene.bodies):
             name = unique_name(Tf.MakeValidIdentifier(body.name), taken)
             prim = self._define_body(f"{root}/{name}", index, body)
@@ -74,9 +76,12 @@ class Bodies:
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             self._paths.append(f"{root}/{name}")
         self._write_filtered_pairs(scene)
+        if any(entry.body_b is None for entry in scene.joints):
+            define(samples.layer, f"{root}/{ENV_WORLD}", "Xform")
+        ends = [*self._paths, f"{root}/{ENV_WORLD}"]
         for entry, values in zip(scene.joints, joints_at_start(scene, start, row), strict=True):
             name = unique_name(Tf.MakeValidIdentifier(entry.name), taken)
-            write_joint(samples.layer, f"{root}/{name}", entry, values, self._paths)
+            write_joint(samples.layer, f"{root}/{name}", entry, values, ends)
             if name != entry.name:
                 samples.layer.GetPrimAtPath(f"{root}/{name}").SetInfo("displayName", entry.name)
 
