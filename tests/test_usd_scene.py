@@ -231,7 +231,7 @@ def test_each_environment_has_its_own_values_and_belongs_to_its_own_physics(mixe
     recorder.capture(sim)
     path = tmp_path / "two.usdc"
     wr.export_usd(recorder.recording(), path, profile="scene")
-    with pytest.raises(ValueError, match="several gravities; set root to one of /World/env_0000, /World/env_0001"):
+    with pytest.raises(ValueError, match="several gravities, .*; set root to one of /World/env_0000, /World/env_0001"):
         wr.import_usd(path)
     first, second = (wr.import_usd(path, root, strict=True) for root in ("/World/env_0000", "/World/env_0001"))
     assert_same(mixed, first)
@@ -298,6 +298,24 @@ def test_joints_with_the_world_are_at_the_place_of_their_environment(tmp_path):
     moved = (sim.get("position")[0] - start).reshape(3, 2, 3)
     np.testing.assert_allclose(moved, recording.position[-1] - recording.position[0], rtol=0, atol=1e-5)
     assert np.ptp(start[:, 0]) > 2.0 and np.abs(moved[:, 0, 2]).min() > 0.1
+
+
+def test_environments_with_different_rules_are_read_one_at_a_time(tmp_path):
+    """Winds that a program has set; and attracting points and bounds, which are at the places of their environments."""
+    winds, point, room = wr.Scene(), wr.Scene(), wr.Scene(bounds=((-1, -1, 0), (1, 1, 2)))
+    winds.add_force_field(wr.UniformField((0, 0, 0)))
+    point.add_force_field(wr.PointField((1, 2, 3), 5.0))
+    for scene in (winds, point, room):
+        scene.add_body(wr.Sphere(0.1), position=(0, 0, 1))
+        sim = wr.Simulator(scene, num_envs=2, device="cpu")
+        if scene is winds:
+            sim.set("field_acceleration", [[(1, 0, 0)], [(2, 0, 0)]])
+        wr.export_usd(wr.record(sim, frames=0), tmp_path / "two.usda", profile="scene")
+        with pytest.raises(ValueError, match="force fields or bounds; set root to one of /World/env_0000, /World/env"):
+            wr.import_usd(tmp_path / "two.usda")
+        back = wr.import_usd(tmp_path / "two.usda", "/World/env_0001", strict=True)
+        assert back.bounds == scene.bounds
+        assert back.force_fields == ([wr.UniformField((2, 0, 0))] if scene is winds else scene.force_fields)
 
 
 @pytest.mark.parametrize("suffix", [".usdc", ".usda"])

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from pxr import Vt
 
 from warp_rigid.scene.fields import FIELDS, ForceField
@@ -21,8 +22,12 @@ def fields_to_data(fields: Sequence[ForceField]) -> dict[str, Any]:
     return data
 
 
-def fields_from_data(data: dict[str, Any]) -> list[ForceField]:
+def fields_from_data(data: dict[str, Any], place: np.ndarray) -> list[ForceField]:
     """Return the force fields that `fields_to_data` was called with, ordered by kind.
+
+    Args:
+        data: the custom data.
+        place: position (3,) of the environment [m], which is added to that of the centres.
 
     Raises:
         ValueError: An array is missing or has another length, or a parameter is refused.
@@ -37,6 +42,8 @@ def fields_from_data(data: dict[str, Any]) -> list[ForceField]:
         for name, is_vector in parameters.items():
             columns[name] = custom_array(data, keys[name], (count, 3) if is_vector else (count,))
             count = len(columns[name])
+        if "center" in columns:
+            columns["center"] = columns["center"] + place
         found += [cls(**{name: columns[name][row] for name in columns}) for row in range(count)]
     return found
 

@@ -89,7 +89,7 @@ class Reader:
         """Build the scene.
 
         Raises:
-            ValueError: The file has no body that can be imported, or several different gravities.
+            ValueError: The file has no body that can be imported, or several different rules.
         """
         file = self._file
         self._report_unsupported()
@@ -147,27 +147,37 @@ class Reader:
                 self._file.leave_out(prim.GetPath(), "only the surface of a static or kinematic body can run")
 
     def _empty_scene(self) -> Scene:
-        """Create a scene with gravity, combine modes and force fields."""
-        file, found = self._file, {}
-        for path, description in file.described(Types.Scene).items():
-            strength = description.gravityMagnitude * file.meter
-            found[path] = tuple(file.to_z_up @ np.array(description.gravityDirection) * strength)
-        if len({tuple(np.round(gravity, 6)) for gravity in found.values()}) > 1:
-            roots = ", ".join(str(Sdf.Path(path).GetParentPath()) for path in found)
-            raise ValueError(f"{file.path}: has several gravities; set root to one of {roots}")
-        custom = custom_data(file.stage.GetPrimAtPath(next(iter(found)))) if found else {}
+        """Create a scene with gravity, combine modes, bounds and force fields."""
+        file = self._file
         # MuJoCo takes the larger friction of two bodies.
         of_mujoco = any(is_of_mujoco(file.stage.GetPrimAtPath(path)) for path in file.described(*COLLIDERS))
-        scene = Scene(
-            gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
-            friction_combine=custom.get("frictionCombine", "max" if of_mujoco else "min"),
-            restitution_combine=custom.get("restitutionCombine", "min"),
-            bounds=tuple(custom_array(custom, "bounds", (2, 3))) if "bounds" in custom else None,
-            out_of_bounds=custom.get("outOfBounds", "report"),
-        )
-        for force_field in fields_from_data(custom):
+        usual: dict[str, Any] = {
+            "gravity": (0.0, 0.0, -EARTH_GRAVITY),
+            "friction_combine": "max" if of_mujoco else "min",
+        }
+        found = {path: usual | self._rules(path, own) for path, own in file.described(Types.Scene).items()}
+        if len({repr(rules | {"gravity": np.round(rules["gravity"], 6) + 0.0}) for rules in found.values()}) > 1:
+            roots = ", ".join(str(Sdf.Path(path).GetParentPath()) for path in found)
+            raise ValueError(f"{file.path}: has several gravities, force fields or bounds; set root to one of {roots}")
+        rules = next(iter(found.values()), usual)
+        force_fields = rules.pop("force_fields", [])
+        scene = Scene(**rules)
+        for force_field in force_fields:
             scene.add_force_field(force_field)
         return scene
+
+    def _rules(self, path: str, description: Any) -> dict[str, Any]:
+        """What a physics scene states, as keywords of Scene and the list of force fields."""
+        file, prim = self._file, self._file.stage.GetPrimAtPath(path)
+        custom, place = custom_data(prim), file.frame(prim)[0]
+        strength = description.gravityMagnitude * file.meter
+        names = {"frictionCombine": "friction_combine", "restitutionCombine": "restitution_combine"}
+        rules = {name: custom[key] for key, name in names.items() if key in custom}
+        rules["gravity"] = tuple(file.to_z_up @ np.array(description.gravityDirection) * strength)
+        if "bounds" in custom:
+            corners = custom_array(custom, "bounds", (2, 3)) + place
+            rules |= {"bounds": tuple(corners), "out_of_bounds": custom.get("outOfBounds", "report")}
+        return rules | {"force_fields": fields_from_data(custom, place)}
 
     def _bodies(self) -> list[_Body]:
         """Bodies in file order, each with its enabled colliders."""
