@@ -426,6 +426,21 @@ def test_a_part_of_a_stage_can_be_read(stage):
         stage(text, root="/World/None")
 
 
+@pytest.mark.parametrize("root", [None, "/World/Group"])
+def test_prims_that_ignore_those_above_are_where_the_stage_shows_them(stage, root):
+    """A body below another one, and a collider, whose transforms start from the world, in a group at x = 7 m."""
+    reset = 'double3 xformOp:translate = {}\n uniform token[] xformOpOrder = ["!resetXformStack!", "xformOp:translate"]'
+    part = f'def Cube "Part" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{\n{reset.format((7, 0, 3))}\n}}\n'
+    below = rigid("Below", "Cube", reset.format((7, 4, 0)).replace("\n", ";"))
+    body = rigid("Body", "Cube", moved(0, 0, 1), inside=part + below)
+    place = moved(7, 0, 0).replace(";", "\n")
+    found = {body.name: body for body in stage(f'def Xform "Group" {{\n{place}\n{body}}}\n', root=root).bodies}
+    x = 7.0 if root is None else 0.0
+    np.testing.assert_allclose(found["Below"].position, (x, 4, 0))
+    np.testing.assert_allclose(found["Body"].position, (x, 0, 1))
+    np.testing.assert_allclose(found["Body"].shape.bounds, [(-1, -1, -1), (1, 1, 3)])
+
+
 def test_files_without_bodies_are_refused_in_one_line(stage, tmp_path):
     with pytest.raises(FileNotFoundError, match="none.usda: no such file"):
         wr.import_usd(tmp_path / "none.usda")

@@ -10,6 +10,7 @@ from warp_rigid.files.mesh_files import USD_SUFFIXES
 from warp_rigid.usd.conventions import MARK, polar
 from warp_rigid.usd.examination import MAX_PRIMS
 from warp_rigid.usd.opening import convert_errors, open_stage
+from warp_rigid.usd.prims import matrix_below
 from warp_rigid.usd.specs import define, export_layer, set_attribute, set_operations
 
 NAMES = Sdf.ValueTypeNames
@@ -242,10 +243,11 @@ def _velocity_of(body: Usd.Prim, root: Usd.Prim, places: UsdGeom.XformCache) -> 
     """
 
     def frame(prim: Usd.Prim) -> np.ndarray:
-        outside = root.IsPseudoRoot()
-        return np.array(
-            places.GetLocalToWorldTransform(prim) if outside else places.ComputeRelativeTransform(prim, root)[0]
-        ).T
+        return (
+            np.array(places.GetLocalToWorldTransform(prim)).T
+            if root.IsPseudoRoot()
+            else matrix_below(places, prim, root)
+        )
 
     instances, own = list(_instances_above(body)), frame(body)
     rotation, api = polar(own[:3, :3])[0], UsdPhysics.RigidBodyAPI(body)

@@ -65,6 +65,18 @@ def matrix_of(transform) -> np.ndarray:
     return matrix
 
 
+def matrix_below(places: UsdGeom.XformCache, prim: Usd.Prim, above: Usd.Prim) -> np.ndarray:
+    """Transform (4, 4) from the frame of a prim to that of one above it, also where one between them resets it.
+
+    Raises:
+        ValueError: It is not finite.
+    """
+    found, resets = places.ComputeRelativeTransform(prim, above)
+    if resets:
+        found = places.GetLocalToWorldTransform(prim) * places.GetLocalToWorldTransform(above).GetInverse()
+    return matrix_of(found)
+
+
 def convert_prim(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[str]):
     """Convert a prim to a shape and its pose.
 

@@ -29,7 +29,7 @@ from warp_rigid.usd.masses import (
 )
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.preview_surface import read_look
-from warp_rigid.usd.prims import convert_prim, custom_array, matrix_of
+from warp_rigid.usd.prims import convert_prim, custom_array, matrix_below
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
 from warp_rigid.usd.usd_file import COLLIDERS, JOINT_KINDS, Types, UsdFile
 
@@ -307,7 +307,7 @@ class Reader:
         notes: list[str] = []
         try:
             if prim != body.prim:
-                matrix = matrix_of(self._file.transforms.ComputeRelativeTransform(prim, body.prim)[0])
+                matrix = matrix_below(self._file.transforms, prim, body.prim)
             matrix[:3] = stretch @ matrix[:3]
             shape, position, orientation = convert_prim(prim, matrix, self._sdf_resolution, notes)
             coefficients, density = read_material(self._file, prim)

@@ -11,7 +11,7 @@ from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.usd.conventions import FROM_Y_UP, first_time, is_y_up, kilograms_per_unit, meters_per_unit, polar
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.opening import open_stage
-from warp_rigid.usd.prims import matrix_of
+from warp_rigid.usd.prims import matrix_below, matrix_of
 
 Types = UsdPhysics.ObjectType
 COLLIDERS = {
@@ -108,7 +108,7 @@ class UsdFile:
         elif self.root.IsPseudoRoot():
             matrix = matrix_of(places.GetLocalToWorldTransform(prim))
         else:
-            matrix = matrix_of(places.ComputeRelativeTransform(prim, self.root)[0])
+            matrix = matrix_below(places, prim, self.root)
         rotation, stretch = polar(matrix[:3, :3])
         if np.abs(stretch - np.eye(3)).max() < 1e-6:
             stretch = np.eye(3)
