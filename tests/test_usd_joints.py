@@ -237,6 +237,35 @@ def test_a_joint_with_a_group_of_bodies_holds_the_world(tmp_path):
     assert entry.body_b is None and scene.bodies[entry.body_a].name == "Link"
 
 
+def test_a_part_of_a_stage_keeps_its_joints_with_the_world_and_its_gravity(tmp_path):
+    """A bar in a group that is moved and turned by 90 degrees about x: in its frame, gravity is along -y."""
+    group = (
+        'def Xform "Group" {{\n double3 xformOp:translate = (5, 0, 1)\n float xformOp:rotateX = 90\n'
+        ' uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateX"]\n{}}}\n'
+    )
+    half = "(0.70710678, 0.70710678, 0, 0)"
+    joint = (
+        'def PhysicsScene "Physics" {\n vector3f physics:gravityDirection = (0, 0, -1)\n'
+        " float physics:gravityMagnitude = 2\n}\n"
+        'def PhysicsRevoluteJoint "Hinge" {\n rel physics:body1 = </World/Group/Bar>\n'
+        ' uniform token physics:axis = "Z"\n'
+        f" point3f physics:localPos0 = (5, 0, 1)\n quatf physics:localRot0 = {half}\n"
+        " point3f physics:localPos1 = (-1, 0, 0)\n}\n"
+    )
+    text = group.format(rigid("Bar", "Cube", f"double size = 0.2; {moved(1, 0, 0)}") + joint)
+    heights = []
+    for root in (None, "/World/Group"):
+        scene = wr.import_usd(write_stage(tmp_path / "bar.usda", text), root, strict=True)
+        up = -np.array(scene.gravity) / 2.0
+        np.testing.assert_allclose(up, (0, 0, 1) if root is None else (0, 1, 0), atol=1e-6)
+        sim = wr.Simulator(scene, device="cpu")
+        start = sim.get("position")[0, 0] @ up
+        sim.step(120)
+        heights.append(sim.get("position")[0, 0] @ up - start)
+        assert sim.get("joint_position")[0, 0] < -0.2
+    assert heights[1] == pytest.approx(heights[0], abs=1e-5) and heights[0] < -0.2
+
+
 def test_a_body_with_colliders_whose_file_states_no_mass_is_light(tmp_path):
     """A guard on an arm, as converters write links of URDF with a mass of 0: its density is not used for its mass."""
     text = rigid("Arm", "Cube", "double size = 1; float physics:mass = 2", ["PhysicsMassAPI"])

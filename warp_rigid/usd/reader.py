@@ -173,7 +173,7 @@ class Reader:
         strength = description.gravityMagnitude * file.meter
         names = {"frictionCombine": "friction_combine", "restitutionCombine": "restitution_combine"}
         rules = {name: custom[key] for key, name in names.items() if key in custom}
-        rules["gravity"] = tuple(file.to_z_up @ np.array(description.gravityDirection) * strength)
+        rules["gravity"] = tuple(file.frame(None)[1] @ np.array(description.gravityDirection) * strength)
         if "bounds" in custom:
             corners = custom_array(custom, "bounds", (2, 3)) + place
             rules |= {"bounds": tuple(corners), "out_of_bounds": custom.get("outOfBounds", "report")}

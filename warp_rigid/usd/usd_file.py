@@ -99,11 +99,13 @@ class UsdFile:
         rotation, so that equal bodies share one shape.
 
         Args:
-            prim: of the body; None for the root.
+            prim: of the body; None for the world of the file.
             transforms: those of another time than the start.
         """
         places = self.transforms if transforms is None else transforms
-        if prim is None or prim == self.root:
+        if prim is None:
+            matrix = np.linalg.inv(matrix_of(places.GetLocalToWorldTransform(self.root)))
+        elif prim == self.root:
             matrix = np.eye(4)
         elif self.root.IsPseudoRoot():
             matrix = matrix_of(places.GetLocalToWorldTransform(prim))
