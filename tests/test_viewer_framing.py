@@ -172,6 +172,19 @@ def test_what_the_page_picks_without_an_index_is_what_the_ray_hits(viewer):
         viewer._drag("start", chosen, None, eye, (np.nan,) * 3, eye + (0, 0, 1.0))
 
 
+def test_a_body_that_is_switched_off_is_not_picked(viewer):
+    """It is not drawn, and lies between the eye and the pivot."""
+    bodies, sim = viewer.session.plan.scene.bodies, viewer.session.sim
+    pivot, large = (next(i for i, body in enumerate(bodies) if body.name == name) for name in ("pivot", "large"))
+    middle = np.asarray(bodies[pivot].position) + (0.0, 0.0, 0.1)
+    eye = middle + (0.0, -4.0, 0.2)
+    sim.set("position", 0.5 * (eye + middle), bodies=[large])
+    for active, hit in ((False, pivot), (True, large)):
+        sim.set("active", active, bodies=[large])
+        viewer._push(np.array([0]), None, eye, middle - eye)
+        assert viewer.chosen == (0, hit)
+
+
 def test_a_drag_without_an_index_pulls_the_body_under_the_pointer(viewer):
     bodies = viewer.session.plan.scene.bodies
     large = next(i for i, body in enumerate(bodies) if body.name == "large")

@@ -400,6 +400,7 @@ class LiveViewer:
             return divmod(int(chosen[index]), sim.num_bodies)
         shapes = [body.shape for body in self.session.plan.scene.bodies] * len(self.rows)
         position = sim.get("position")[self.rows] + self._film.offset[:, None]
+        position[~sim.get("active")[self.rows]] = np.nan  # which no ray hits
         orientation = sim.get("orientation")[self.rows]
         found = first_hit(shapes, position.reshape(-1, 3), orientation.reshape(-1, 4), origin, direction)
         if found is None:
