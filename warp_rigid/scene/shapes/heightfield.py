@@ -37,7 +37,8 @@ class Heightfield(Shape):
     """Terrain over a rectangle around the origin, solid below; for static and kinematic bodies.
 
     Each cell has two triangles, divided from corner (i, j) to (i + 1, j + 1). The solid has vertical sides at the
-    border. With a motion the vertices move up and down, and contacts include the surface's velocity.
+    border; a body that lies entirely below its lowest height does not touch it. With a motion the vertices move up and
+    down, and contacts include the surface's velocity.
     """
 
     static_only = True
