@@ -52,6 +52,26 @@ def test_prims_of_a_stage_in_centimetres_fall_where_they_are(tmp_path, up):
         np.testing.assert_allclose(found, rest + fall, atol=0.05)
 
 
+def test_bodies_that_are_switched_off_are_hidden(tmp_path):
+    """One from the start until half a second, one from then on, and one never."""
+    text = "".join(rigid(name, "Sphere", moved(3 * k, 0, 0)) for k, name in enumerate(("Late", "Gone", "Always")))
+    scene = wr.import_usd(write_stage(tmp_path / "set.usda", text))
+    sim = wr.Simulator(scene, device="cpu")
+    sim.set("active", False, bodies=["Late"])
+
+    def switch(frame, sim):
+        if frame == 6:
+            sim.set("active", [True, False], bodies=["Late", "Gone"])
+
+    wr.export_usd(wr.record(sim, frames=12, fps=12, on_frame=switch), tmp_path / "shot.usda", layout="override")
+    stage = Usd.Stage.Open(str(tmp_path / "shot.usda"))
+    for frame in range(13):
+        for name, shown in (("Late", frame > 6), ("Gone", frame <= 6), ("Always", True)):
+            prim = UsdGeom.Imageable(stage.GetPrimAtPath(f"/World/{name}"))
+            assert (prim.ComputeVisibility(frame * 24.0 / 12.0) == "inherited") == shown
+    assert not stage.GetPrimAtPath("/World/Always").GetAttribute("visibility").HasAuthoredValue()
+
+
 def test_a_root_that_is_moved_is_taken_into_account(tmp_path):
     body = rigid("Ball", "Sphere", f"double radius = 1; {moved(0, 0, 5)}")
     path = write_stage(tmp_path / "set.usda", SCALED.format(height=2, body=body))

@@ -8,10 +8,11 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 
 from warp_rigid import rotations
 from warp_rigid.runs.recording import Recording
+from warp_rigid.usd.animation import VISIBILITY
 from warp_rigid.usd.conventions import FROM_Y_UP, first_time, is_y_up, meters_per_unit, precise_quaternions, transform
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import matrix_of
-from warp_rigid.usd.specs import define, export_layer, set_operations
+from warp_rigid.usd.specs import define, export_layer, set_attribute, set_operations
 
 
 def write_override(recording: Recording, path: Path, row: int) -> None:
@@ -54,6 +55,7 @@ def write_override(recording: Recording, path: Path, row: int) -> None:
             world = matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(prim_path)))
             before = np.linalg.inv(first) @ to_scene @ world
             _animate(layer, prim_path, times, np.linalg.inv(to_scene) @ poses @ before)
+            _hide(layer, prim_path, times, recording.active[:, row, body])
     export_layer(layer, path)
 
 
@@ -85,4 +87,14 @@ def _animate(layer: Sdf.Layer, path: str, times: np.ndarray, matrices: np.ndarra
     first = Sdf.ValueTypeNames.Matrix4d, values[0]
     (attribute,) = set_operations(prim, {"transform:warp_rigid": first}, reset=True)
     for time, value in zip(times.tolist(), values, strict=True):
+        layer.SetTimeSample(attribute.path, time, value)
+
+
+def _hide(layer: Sdf.Layer, path: str, times: np.ndarray, active: np.ndarray) -> None:
+    """Hide a prim while its body is switched off, and leave its visibility as it is if it never is."""
+    if active.all():
+        return
+    shown = [VISIBILITY[int(now)] for now in active]
+    attribute = set_attribute(layer.GetPrimAtPath(path), "visibility", Sdf.ValueTypeNames.Token, shown[0])
+    for time, value in zip(times.tolist(), shown, strict=True):
         layer.SetTimeSample(attribute.path, time, value)
