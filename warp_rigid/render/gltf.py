@@ -36,6 +36,8 @@ VERTICES, INDICES = 34962, 34963
 def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[int] | None = None) -> None:
     """Write a recording as binary glTF 2.0, with one animated node per body and the images of their looks.
 
+    Ground that moves is a mesh with two shapes, whose weights are animated.
+
     Args:
         recording: the recording.
         path: output file, .glb; missing folders are created.
@@ -75,6 +77,10 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
                 file.animate(node, "translation", time, file.numbers(places, "VEC3"))
             if (turns != turns[0]).any():
                 file.animate(node, "rotation", time, file.numbers(turns, "VEC4"))
+            if surfaces[recording.surface[body]].moves:
+                weights = surfaces[recording.surface[body]].weights_at(recording.time).astype(np.float32)
+                file.weigh(mesh, weights[0].tolist())
+                file.animate(node, "weights", time, file.numbers(weights.reshape(-1), "SCALAR"))
             if not recording.active[:, row, body].all():
                 scales = np.repeat(recording.active[:, row, body, None], 3, axis=1).astype(np.float32)
                 file.scale(node, scales[0].tolist())
@@ -96,7 +102,7 @@ class _Assembly:
         )
         self._blob = bytearray()
         self._meshes: dict[tuple, int] = {}
-        self._geometry: dict[tuple[int, bool], list[tuple[Any, int]]] = {}
+        self._geometry: dict[tuple[int, bool], list[tuple[Any, int, list]]] = {}
         self._textures: dict[str, int | None] = {}
         self._animation = library.Animation(name="simulation")
 
@@ -110,6 +116,10 @@ class _Assembly:
     def scale(self, node: int, factors: list[float]) -> None:
         """Scale a node at the start."""
         self._gltf.nodes[node].scale = factors
+
+    def weigh(self, mesh: int, weights: list[float]) -> None:
+        """Set the weights of the shapes of a mesh at the start."""
+        self._gltf.meshes[mesh].weights = weights
 
     def numbers(self, values: np.ndarray, kind: str, bounds: bool = False, target: int | None = None) -> int:
         """Add an array; returns the index of its accessor."""
@@ -142,17 +152,20 @@ class _Assembly:
                 self._library.Primitive(
                     attributes=attributes,
                     indices=corners,
+                    targets=targets,
                     material=self._material(color, look, texture if attributes.TEXCOORD_0 is not None else None),
                 )
-                for attributes, corners in self._geometry[part]
+                for attributes, corners, targets in self._geometry[part]
             ]
             self._meshes[key] = _added(self._gltf.meshes, self._library.Mesh(primitives=primitives))
         return self._meshes[key]
 
-    def _parts(self, surface: DrawnSurface, textured: bool) -> list[tuple[Any, int]]:
+    def _parts(self, surface: DrawnSurface, textured: bool) -> list[tuple[Any, int, list]]:
         """Add the arrays of a surface; with texture coordinates, apart for the triangles that have some."""
         normals = corner_normals(surface.vertices, surface.faces)
         corners = np.concatenate([surface.vertices[surface.faces], normals], axis=2)
+        if surface.moves:
+            return [self._arrays(corners, surface.swing.T[surface.faces])]
         if not textured or surface.uv is None:
             return [self._arrays(corners)]
         # In glTF, v runs downward from the upper edge of the image.
@@ -161,17 +174,28 @@ class _Assembly:
         parts = corners[has_uv], corners[~has_uv, :, :6]
         return [self._arrays(part) for part in parts if len(part)]
 
-    def _arrays(self, corners: np.ndarray) -> tuple[Any, int]:
-        """Add the distinct corners (m, 3, 6 or 8) of points, normals and texture coordinates, and triangle indices."""
-        rows, index = np.unique(corners.reshape(-1, corners.shape[2]), axis=0, return_inverse=True)
+    def _arrays(self, corners: np.ndarray, swing: np.ndarray | None = None) -> tuple[Any, int, list]:
+        """Add the distinct corners (m, 3, 6 or 8) of points, normals and texture coordinates, and triangle indices.
+
+        The displacements of a surface that moves are (m, 3, 2) along z, one for each of its shapes.
+        """
+        number = corners.shape[2]
+        everything = corners if swing is None else np.concatenate([corners, swing], axis=2)
+        rows, index = np.unique(everything.reshape(-1, everything.shape[2]), axis=0, return_inverse=True)
         rows = rows.astype(np.float32)
         attributes = self._library.Attributes(
             POSITION=self.numbers(rows[:, :3], "VEC3", bounds=True, target=VERTICES),
             NORMAL=self.numbers(rows[:, 3:6], "VEC3", target=VERTICES),
         )
-        if rows.shape[1] > 6:
-            attributes.TEXCOORD_0 = self.numbers(rows[:, 6:], "VEC2", target=VERTICES)
-        return attributes, self.numbers(index.reshape(-1).astype(np.uint32), "SCALAR", target=INDICES)
+        if number > 6:
+            attributes.TEXCOORD_0 = self.numbers(rows[:, 6:number], "VEC2", target=VERTICES)
+        rises = [column[:, None] * np.eye(3, dtype=np.float32)[2] for column in rows[:, number:].T]
+        targets = [
+            self._library.Attributes(POSITION=self.numbers(rise, "VEC3", bounds=True, target=VERTICES))
+            for rise in rises
+        ]
+        indices = self.numbers(index.reshape(-1).astype(np.uint32), "SCALAR", target=INDICES)
+        return attributes, indices, targets
 
     def _texture(self, path: str) -> int | None:
         """Add an image; returns the index of its texture, None if it cannot be read."""
@@ -197,7 +221,7 @@ class _Assembly:
         return _added(self._gltf.materials, self._library.Material(pbrMetallicRoughness=shading, **options))
 
     def animate(self, node: int, path: str, time: int, values: int, interpolation: str = "LINEAR") -> None:
-        """Animate the translation, rotation or scale of a node."""
+        """Animate the translation, rotation, scale or weights of a node."""
         library = self._library
         sampler = library.AnimationSampler(input=time, output=values, interpolation=interpolation)
         index = _added(self._animation.samplers, sampler)

@@ -42,9 +42,13 @@ class DrawnSurface:
         """Vertices at a time [s], (n, 3) float32 [m]."""
         if not self.moves:
             return self.vertices
-        angle = self.angular_frequency * time
-        rise = np.array([np.sin(angle), np.cos(angle)]) @ self.swing
+        rise = self.weights_at(time) @ self.swing
         return (self.vertices + rise[:, None] * [0.0, 0.0, 1.0]).astype(np.float32)
+
+    def weights_at(self, time: float | np.ndarray) -> np.ndarray:
+        """Weights (..., 2) of the two rows of `swing` at times (...) [s]."""
+        angle = self.angular_frequency * np.asarray(time)
+        return np.stack([np.sin(angle), np.cos(angle)], axis=-1)
 
 
 def surfaces_of(bodies: Sequence[Body]) -> tuple[tuple[DrawnSurface, ...], np.ndarray]:
