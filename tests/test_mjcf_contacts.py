@@ -43,6 +43,26 @@ def test_a_pair_has_the_larger_friction(imported, ground, block):
     )
 
 
+@pytest.mark.parametrize("condim", [None, 1, 3, 4, 6])
+def test_condim_decides_which_friction_acts(imported, condim):
+    """A block that slides, a ball that spins and one that rolls, against Coulomb's laws of their friction."""
+    slide, spin, roll = 0.3, 0.002, 0.004
+    more = f'friction="{slide} {spin} {roll}"' + (f' condim="{condim}"' if condim else "")
+    ball = '<body name="{}" pos="{} 0 0.1"><freejoint/><geom type="sphere" size="0.1" {}/></body>'
+    balls = ball.format("spinning", 2, more) + ball.format("rolling", 4, more)
+    sim = wr.Simulator(
+        imported(f'<geom type="plane" size="9 9 .1" {more}/>' + box("block", 0, 0.1, more) + balls), device="cpu"
+    )
+    sim.set("linear_velocity", (0, 2.0, 0), bodies=["block", "rolling"])
+    sim.set("angular_velocity", [(0, 0, 30.0), (-20.0, 0, 0)], bodies=["spinning", "rolling"])
+    sim.step(120)
+    speed = sim.get("linear_velocity")[0, :, 1]
+    acts = [(condim or 3) >= least for least in (3, 4, 6)]
+    assert speed[1] == pytest.approx(2.0 - acts[0] * 0.5 * slide * 9.81, abs=2e-3)
+    assert sim.get("angular_velocity")[0, 2, 2] == pytest.approx(30.0 - acts[1] * 0.5 * spin * 9.81 / 0.004, abs=0.02)
+    assert speed[3] == pytest.approx(2.0 - acts[2] * 0.5 * 5.0 / 7.0 * roll * 9.81 / 0.1, abs=2e-3)
+
+
 def touching(scene):
     """Names of the pairs of movable bodies that are not kept apart."""
     names = [body.name for body in scene.bodies]

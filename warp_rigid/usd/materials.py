@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pxr import Sdf, Usd, UsdPhysics, UsdShade
 
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.usd.masses import positive
+from warp_rigid.usd.masses import is_of_mujoco, positive
+from warp_rigid.usd.prims import value_of
 from warp_rigid.usd.specs import define, set_attribute
 from warp_rigid.usd.usd_file import UsdFile
 
@@ -15,6 +16,9 @@ SCHEMAS = {"physics": "PhysicsMaterialAPI", "newton": "NewtonMaterialAPI"}
 
 BASE = "physics"
 """Namespace whose attributes are always written; the others are left out while all their values are defaults."""
+
+MUJOCO_DIMENSIONS = {"friction": 3, "spinning_friction": 4, "rolling_friction": 6}
+"""Least `condim` of a geom of MuJoCo with which a coefficient acts; by default it is 3."""
 
 
 def write_material(layer: Sdf.Layer, path: str, values: Mapping[str, float]) -> None:
@@ -55,6 +59,9 @@ def read_material(file: UsdFile, prim: Usd.Prim) -> tuple[dict[str, float], floa
                 used = f"{value:g} of {first.GetName()} is used"
                 file.change(prim, f"{name}: {used}, not {other.Get():g} of {other.GetName()}")
         found[name] = value * file.meter**coefficient.length_power
+    if is_of_mujoco(prim):
+        dimensions = value_of(prim, "mjc:condim", 3)
+        found |= {name: 0.0 for name, least in MUJOCO_DIMENSIONS.items() if dimensions < least}
     return found, positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())
 
 

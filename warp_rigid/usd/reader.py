@@ -57,8 +57,8 @@ CUSTOM = ("mjc:body:",)
 """Prefixes of attributes that the converter of MuJoCo's files writes without a schema."""
 READ = {
     "newton:armature", "newton:damping", "newton:friction", "newton:inertia", "newton:rollingFriction",
-    "newton:torsionalFriction", "mjc:compiler:angle", "mjc:compiler:setTotalMass", "mjc:ref", "mjc:springref",
-    "mjc:stiffness",
+    "newton:torsionalFriction", "mjc:compiler:angle", "mjc:compiler:setTotalMass", "mjc:condim", "mjc:ref",
+    "mjc:springref", "mjc:stiffness",
 }  # fmt: skip
 """Attributes of these families that have a counterpart in a scene."""
 
