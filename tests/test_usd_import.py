@@ -426,6 +426,21 @@ def test_a_part_of_a_stage_can_be_read(stage):
         stage(text, root="/World/None")
 
 
+def test_a_part_of_a_stage_has_its_gravity_and_its_joints_with_other_parts(stage):
+    """The physics scene, and the post that holds the ball, are outside of the group at x = 7 m that is read."""
+    physics = 'def PhysicsScene "Physics" {\n float physics:gravityMagnitude = 1.62\n}\n'
+    post = f'def Xform "Post" {{\n{moved(0, 0, 2).replace(";", chr(10))}\n}}\n'
+    joint = (
+        'def PhysicsSphericalJoint "Joint" {\n rel physics:body0 = </World/Post>\n'
+        " rel physics:body1 = </World/Group/Ball>\n point3f physics:localPos0 = (7, 0, -1)\n}\n"
+    )
+    place = moved(7, 0, 0).replace(";", "\n")
+    group = f'def Xform "Group" {{\n{place}\n{rigid("Ball", "Sphere", moved(0, 0, 1))}{joint}}}\n'
+    scene = stage(physics + post + group, root="/World/Group")
+    np.testing.assert_allclose(scene.gravity, (0, 0, -1.62), rtol=1e-6)
+    np.testing.assert_allclose(scene.joints[0].frame_b.position, (0, 0, 1))
+
+
 @pytest.mark.parametrize("root", [None, "/World/Group"])
 def test_prims_that_ignore_those_above_are_where_the_stage_shows_them(stage, root):
     """A body below another one, and a collider, whose transforms start from the world, in a group at x = 7 m."""

@@ -308,13 +308,13 @@ def _read_mesh(prim, frames) -> tuple[DrawnMesh, str | None]:
     from pxr import Usd, UsdGeom
 
     from warp_rigid.usd.preview_surface import uv_and_image
-    from warp_rigid.usd.prims import matrix_below, triangles_of
+    from warp_rigid.usd.prims import matrix_between, triangles_of
 
     vertices, faces, count, moving = [], [], 0, {}
     coordinates, image = [], None
     for part in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
         if part.IsA(UsdGeom.Gprim) and UsdGeom.Imageable(part).ComputePurpose() != UsdGeom.Tokens.guide:
-            matrix = matrix_below(UsdGeom.XformCache(), part, prim)
+            matrix = matrix_between(UsdGeom.XformCache(), part, prim)
             points, triangles = triangles_of(part)
             attribute = part.GetAttribute("points")
             if attribute and attribute.ValueMightBeTimeVarying():

@@ -10,7 +10,7 @@ from warp_rigid.files.mesh_files import USD_SUFFIXES
 from warp_rigid.usd.conventions import MARK, polar
 from warp_rigid.usd.examination import MAX_PRIMS
 from warp_rigid.usd.opening import convert_errors, open_stage
-from warp_rigid.usd.prims import matrix_below
+from warp_rigid.usd.prims import matrix_between
 from warp_rigid.usd.specs import define, export_layer, set_attribute, set_operations
 
 NAMES = Sdf.ValueTypeNames
@@ -246,7 +246,7 @@ def _velocity_of(body: Usd.Prim, root: Usd.Prim, places: UsdGeom.XformCache) -> 
         return (
             np.array(places.GetLocalToWorldTransform(prim)).T
             if root.IsPseudoRoot()
-            else matrix_below(places, prim, root)
+            else matrix_between(places, prim, root)
         )
 
     instances, own = list(_instances_above(body)), frame(body)

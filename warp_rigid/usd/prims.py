@@ -65,15 +65,15 @@ def matrix_of(transform) -> np.ndarray:
     return matrix
 
 
-def matrix_below(places: UsdGeom.XformCache, prim: Usd.Prim, above: Usd.Prim) -> np.ndarray:
-    """Transform (4, 4) from the frame of a prim to that of one above it, also where one between them resets it.
+def matrix_between(places: UsdGeom.XformCache, prim: Usd.Prim, other: Usd.Prim) -> np.ndarray:
+    """Transform (4, 4) from the frame of a prim to that of another, which need not be above it.
 
     Raises:
         ValueError: It is not finite.
     """
-    found, resets = places.ComputeRelativeTransform(prim, above)
-    if resets:
-        found = places.GetLocalToWorldTransform(prim) * places.GetLocalToWorldTransform(above).GetInverse()
+    found, resets = places.ComputeRelativeTransform(prim, other)  # exact, if there is no reset between them
+    if resets or not prim.GetPath().HasPrefix(other.GetPath()):
+        found = places.GetLocalToWorldTransform(prim) * places.GetLocalToWorldTransform(other).GetInverse()
     return matrix_of(found)
 
 

@@ -29,7 +29,7 @@ from warp_rigid.usd.masses import (
 )
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.preview_surface import read_look
-from warp_rigid.usd.prims import convert_prim, custom_array, matrix_below
+from warp_rigid.usd.prims import convert_prim, custom_array, matrix_between
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
 from warp_rigid.usd.usd_file import COLLIDERS, JOINT_KINDS, Types, UsdFile
 
@@ -155,7 +155,7 @@ class Reader:
             "gravity": (0.0, 0.0, -EARTH_GRAVITY),
             "friction_combine": "max" if of_mujoco else "min",
         }
-        found = {path: usual | self._rules(path, own) for path, own in file.described(Types.Scene).items()}
+        found = {path: usual | self._rules(path, own) for path, own in file.physics_scenes().items()}
         if len({repr(rules | {"gravity": np.round(rules["gravity"], 6) + 0.0}) for rules in found.values()}) > 1:
             roots = ", ".join(str(Sdf.Path(path).GetParentPath()) for path in found)
             raise ValueError(f"{file.path}: has several gravities, force fields or bounds; set root to one of {roots}")
@@ -307,7 +307,7 @@ class Reader:
         notes: list[str] = []
         try:
             if prim != body.prim:
-                matrix = matrix_below(self._file.transforms, prim, body.prim)
+                matrix = matrix_between(self._file.transforms, prim, body.prim)
             matrix[:3] = stretch @ matrix[:3]
             shape, position, orientation = convert_prim(prim, matrix, self._sdf_resolution, notes)
             coefficients, density = read_material(self._file, prim)

@@ -1,5 +1,6 @@
 """A file that is read: its stage, units, axes and transforms, and what becomes of its prims in the scene."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.usd.conventions import FROM_Y_UP, first_time, is_y_up, kilograms_per_unit, meters_per_unit, polar
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.opening import open_stage
-from warp_rigid.usd.prims import matrix_below, matrix_of
+from warp_rigid.usd.prims import matrix_between, matrix_of
 
 Types = UsdPhysics.ObjectType
 COLLIDERS = {
@@ -79,8 +80,16 @@ class UsdFile:
 
     def described(self, *kinds: Any) -> dict[str, Any]:
         """Descriptions of the objects of some kinds by their paths."""
-        found = [zip(*self.objects.get(kind, ([], [])), strict=True) for kind in kinds]
-        return {str(path): description for pairs in found for path, description in pairs}
+        return _described(self.objects, kinds)
+
+    def physics_scenes(self) -> dict[str, Any]:
+        """Descriptions of the physics scenes by their paths, below the root or else below the nearest prim above it."""
+        above, found = self.root, self.described(Types.Scene)
+        while not found and not above.IsPseudoRoot():
+            above = above.GetParent()
+            objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(self.stage, [str(above.GetPath())])
+            found = _described(objects, [Types.Scene])
+        return found
 
     def leave_out(self, path: Any, reason: str) -> None:
         """Report what of a path the scene lacks."""
@@ -110,9 +119,15 @@ class UsdFile:
         elif self.root.IsPseudoRoot():
             matrix = matrix_of(places.GetLocalToWorldTransform(prim))
         else:
-            matrix = matrix_below(places, prim, self.root)
+            matrix = matrix_between(places, prim, self.root)
         rotation, stretch = polar(matrix[:3, :3])
         if np.abs(stretch - np.eye(3)).max() < 1e-6:
             stretch = np.eye(3)
         stretch = self.meter * np.round(stretch, 9)
         return self.to_z_up @ matrix[:3, 3] * self.meter, self.to_z_up @ rotation, stretch
+
+
+def _described(objects: dict, kinds: Sequence[Any]) -> dict[str, Any]:
+    """Descriptions of the objects of some kinds by their paths, of what the parser of UsdPhysics returns."""
+    found = [zip(*objects.get(kind, ([], [])), strict=True) for kind in kinds]
+    return {str(path): description for pairs in found for path, description in pairs}
