@@ -205,6 +205,15 @@ def test_what_a_kind_of_joint_cannot_have_is_told(tmp_path, kind, values, lost):
     assert [finding.path for finding in report.findings] == ["/World/Joint"] * lost
 
 
+@pytest.mark.parametrize(("angle", "told"), [(40, True), (-1, False)])
+def test_a_limit_of_a_ball_joint_of_mujoco_is_told(tmp_path, angle, told):
+    """MuJoCo limits the angle of the whole rotation, a cone only that between the axes."""
+    limits = f"float physics:coneAngle0Limit = {angle}\n float physics:coneAngle1Limit = {angle}"
+    ball = HINGE.replace("Revolute", "Spherical").format(name="Ball", axis="X", values=limits)
+    scene = wr.import_usd(write_stage(tmp_path / "ball.usda", TWO_BODIES + ball))
+    assert ["rotations" in finding.reason for finding in scene.import_report.findings] == [True] * told
+
+
 def test_a_drive_without_force_stays_without_force(tmp_path):
     """A motor that a program has switched off; the arm falls as before, with or without it."""
     scene = wr.Scene()

@@ -78,8 +78,7 @@ class JointReader:
             if not description.jointEnabled:
                 self._file.leave_out(path, "the joint is disabled")
                 continue
-            is_serial = "MjcJointAPI" in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
-            ends = (str(description.rel0), str(description.rel1)) if is_serial else (path, "")
+            ends = (str(description.rel0), str(description.rel1)) if _is_of_mujoco(prim) else (path, "")
             series.setdefault(ends, []).append((prim, description))
         for joints in series.values():
             self._add_series(joints)
@@ -263,6 +262,8 @@ class JointReader:
         given = {math.inf if angle is None or angle < 0.0 else math.radians(angle) for angle in angles}
         if len(given) > 1:
             self._file.change(prim, "both cone angles are the smaller one")
+        if min(given) < math.inf and _is_of_mujoco(prim):
+            self._file.change(prim, "its limit, which is one of all rotations, leaves those about its axis free")
         return SphericalJoint(None if min(given) == math.inf else min(given), AXES["X"])
 
     def _armature(self, prim: Usd.Prim, kind: Any) -> float:
@@ -335,6 +336,11 @@ class JointReader:
         if value is None or kind == Types.SphericalJoint:
             return 0.0
         return float(value) * (math.pi / 180.0 if self._in_degrees and kind == Types.RevoluteJoint else 1.0)
+
+
+def _is_of_mujoco(joint: Usd.Prim) -> bool:
+    """Whether a joint comes from a file of MuJoCo."""
+    return "MjcJointAPI" in joint.GetPrimTypeInfo().GetAppliedAPISchemas()
 
 
 def _fixed_pairs(found: dict[str, Any]) -> list[tuple[str, str]]:
