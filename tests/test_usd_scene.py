@@ -282,6 +282,25 @@ def test_what_was_set_before_the_recording_comes_back(tmp_path):
     assert np.abs(recording.position[-1, 0] - recording.position[-1, 1]).max() > 0.1
 
 
+def test_a_hinge_that_has_turned_several_times_goes_on(tmp_path):
+    """At the start of the recording it is at two turns and a half, on its way to a target and a limit further on."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    arm = scene.add_body(wr.Box((0.2, 0.03, 0.03)), position=(0.2, 0, 1), mass=1.0)
+    hinge = scene.add_joint(wr.RevoluteJoint((0, 0, 1), limits=(-18.0, 18.0)), arm, anchor=(0, 0, 1))
+    scene.add_drive(hinge, stiffness=0.5, damping=0.2, target_position=19.0)
+    sim = wr.Simulator(scene, num_envs=2, device="cpu")
+    sim.set("joint_target_position", [[19.0], [-16.0]])
+    while np.abs(sim.get("joint_position")).min() < 15.0:
+        sim.step(4)
+    recording = wr.record(sim, frames=60)
+    wr.export_usd(recording, tmp_path / "turned.usda", profile="scene")
+    for env in range(2):
+        back = wr.import_usd(tmp_path / "turned.usda", f"/World/env_{env:04}", strict=True)
+        again = wr.record(wr.Simulator(back, device="cpu"), frames=60)
+        np.testing.assert_allclose(again.position[:, 0], recording.position[:, env], rtol=0, atol=2e-5)
+    assert np.ptp(recording.position, axis=0).max() > 0.03
+
+
 def test_joints_with_the_world_are_at_the_place_of_their_environment(tmp_path):
     """A pendulum and a weight on a string in three environments, which the file places beside each other."""
     scene = wr.Scene()

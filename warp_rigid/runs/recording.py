@@ -385,7 +385,8 @@ class Recorder:
 def _at_start(scene: Scene) -> list[str]:
     """Names of the quantities of a scene that are recorded in the first frame only."""
     of_fields = {field_values.PREFIX + name: None for field in scene.force_fields for name in type(field).parameters()}
-    return [*START, *(joint_quantities.WRITABLE if scene.joints else ()), *of_fields]
+    of_joints = ("joint_position", *joint_quantities.WRITABLE) if scene.joints else ()
+    return [*START, *of_joints, *of_fields]
 
 
 def _common_scene(sim, envs: np.ndarray) -> Scene:

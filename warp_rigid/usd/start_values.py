@@ -1,5 +1,6 @@
 """Values of a scene at the start of a recording: those that a program has set, and the scene's own elsewhere."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -7,9 +8,12 @@ import numpy as np
 
 from warp_rigid.engine.field_values import PREFIX
 from warp_rigid.engine.joints import numbers_of
-from warp_rigid.kernels.enums import JointNumber
+from warp_rigid.kernels.enums import Coordinate, JointNumber
 from warp_rigid.scene.fields import ForceField
 from warp_rigid.scene.scene import Scene
+
+ANGLES = (JointNumber.LOWER, JointNumber.UPPER, JointNumber.TARGET_POSITION)
+"""Numbers of a hinge that count full turns; a file counts from the poses that it states, less than half a turn."""
 
 
 class JointValues(NamedTuple):
@@ -36,6 +40,9 @@ def joints_at_start(scene: Scene, start: Mapping[str, np.ndarray], row: int) -> 
     for k, entry in enumerate(scene.joints):
         own = zip(JointNumber, numbers_of(entry), strict=True)
         numbers = {number: _kept(value, start[f"joint_{number.name.lower()}"][row, k]) for number, value in own}
+        if entry.joint.coordinate == Coordinate.ANGLE:
+            turns = 2.0 * math.pi * round(float(start["joint_position"][row, k]) / (2.0 * math.pi))
+            numbers |= {number: numbers[number] - turns for number in ANGLES}
         found.append(JointValues(numbers, bool(start["joint_broken"][row, k])))
     return found
 
