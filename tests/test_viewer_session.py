@@ -174,6 +174,23 @@ def test_what_is_refused_changes_nothing(falling):
     assert falling.sim.settings.dt == 1.0 / 240.0 and (falling.sim.get("restitution") == 0.0).all()
 
 
+def test_full_turns_of_hinges_stay_with_another_step(tmp_path):
+    """A motor of 20 rad/s for 0.6 s: twelve radians, with a time step that changes on the way and with a body more."""
+    path = tmp_path / "motor.py"
+    path.write_text(
+        "import warp_rigid as wr\n\ndef scene():\n    made = wr.Scene(gravity=(0, 0, 0))\n"
+        "    made.add_body(wr.Box((0.2, 0.03, 0.03)), mass=1.0)\n    made.add_joint(wr.RevoluteJoint((0, 0, 1)), 0)\n"
+        "    made.add_drive(0, damping=10.0, target_velocity=20.0)\n    return made\n"
+    )
+    session = Session(str(path), device="cpu")
+    session.step(48)
+    session.change("dt", 1.0 / 480.0)
+    session.step(96)
+    session.spawn(Sphere(0.1), np.array([[5.0, 0.0, 0.0]]))
+    session.step(96)
+    assert session.sim.get("joint_position")[0, 0] == pytest.approx(12.0, abs=0.1)
+
+
 def test_push_through_the_centre_changes_the_velocity_by_as_much(falling):
     impulse = falling.push(0, 1, np.array([0.0, 0.0, 50.0]), np.array([3.0, 0.0, 1.0]))
     assert impulse == pytest.approx([6.0, 0.0, 2.0])

@@ -285,6 +285,8 @@ class Session:
                 else:  # of all bodies: those on paths must not be chosen
                     now[:, : old.num_bodies] = value
                     new.set(name, now)
+        turned = old.internals.model.joints.position.numpy()  # full turns of hinges, which their bodies do not tell
+        new.internals.model.joints.position.assign(turned)
         _continue_at(new, old.time)
         gone = old.time - new.time
         self._events = [(when - gone, act) for when, act in self._events]
