@@ -163,7 +163,8 @@ def bin_with_joined_boxes(seed, ratio=50.0):
 
 def test_an_uneven_pile_with_joints_gains_no_energy(device):
     """Poses are predicted without the initial impulses of contacts: with them, a frame adds nine times the energy."""
-    sim = wr.Simulator([bin_with_joined_boxes(seed) for seed in range(4)], settings=wr.Settings(dt=1 / 60), device=device)
+    scenes = [bin_with_joined_boxes(seed) for seed in range(4)]
+    sim = wr.Simulator(scenes, settings=wr.Settings(dt=1 / 60), device=device)
     energies = [energy(sim)]
     for _ in range(45):
         sim.step()
