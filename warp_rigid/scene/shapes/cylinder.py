@@ -10,7 +10,6 @@ from warp_rigid.scene.shapes import mass_properties, tessellation
 from warp_rigid.scene.shapes.base import Part, PartKind, Shape
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
 
-RIM_POINTS = 16
 CLEAR_OF_CAP = 1.02
 """Radii from a cap to the nearest ball on the axis: on the ground, the cap must touch before the ball does."""
 SURFACE_SECTIONS = 64
