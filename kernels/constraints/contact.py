@@ -243,15 +243,18 @@ def store_start(c: int, contacts: Contacts):
 
 
 @wp.func
-def energy_terms(c: int, kept: float, then: BodyPair, now: BodyPair, contacts: Contacts):
+def energy_terms(c: int, has_start: bool, then: BodyPair, now: BodyPair, contacts: Contacts):
     """Contribution of a row to the two sums of a line search [J]: -(v0.M dv + b.dl) and dv.M dv.
 
-    `kept`: factor on the stored start impulses; 0 if the search starts without impulses.
+    `has_start`: whether the search starts at the stored start impulses, or without impulses.
     """
     row = read_contact(c, contacts.rows)
-    change = impulse_of(c, IMPULSE, contacts) - kept * impulse_of(c, START_IMPULSE, contacts)
+    change = impulse_of(c, IMPULSE, contacts)
+    turn = impulse_of(c, ANGULAR_IMPULSE, contacts)
+    if has_start:
+        change -= impulse_of(c, START_IMPULSE, contacts)
+        turn -= impulse_of(c, START_ANGULAR_IMPULSE, contacts)
     impulse = world_vector(row.normal, row.tangent, change)
-    turn = impulse_of(c, ANGULAR_IMPULSE, contacts) - kept * impulse_of(c, START_ANGULAR_IMPULSE, contacts)
     angular_impulse = world_vector(row.normal, row.tangent, turn)
     before = contact_velocity(row, then)
     spin_before = then.angular_a - then.angular_b

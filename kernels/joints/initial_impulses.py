@@ -21,7 +21,7 @@ from warp_rigid.kernels.constraints.contact import blend_row, scale_row
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.loads import is_visited
-from warp_rigid.kernels.joints.mechanism import energy_terms
+from warp_rigid.kernels.joints.mechanism import IN_CONTACT, energy_terms
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import store_before_contacts, warm_start_pair
 from warp_rigid.kernels.solve.line_search import (
@@ -66,16 +66,36 @@ def store_before_impulses(team: Team, envs: Environments, motions: Motions, join
 
 
 @wp.func
+def island_of_joint(j: int, motions: Motions, joints: Joints, graph: Graph):
+    """The island of a joint whose mechanism is solved with its contacts; -1 for others, which have no rows."""
+    a = joints.body_a[j]
+    b = joints.body_b[j]
+    if joints.activity[wp.max(joints.of_body[a], joints.of_body[b])] != IN_CONTACT:
+        return -1
+    return graph.island[wp.where(motions.role[a] == Role.FREE, a, b)]
+
+
+@wp.func
+def blend_joint(j: int, graph: Graph, motions: Motions, joints: Joints):
+    """Apply the step length of a line search to the impulses of a joint."""
+    island = island_of_joint(j, motions, joints, graph)
+    if island >= 0:
+        t = wp.float64(accepted_share(island, graph))
+        joints.total[j] = joints.start[j] + t * (joints.total[j] - joints.start[j])
+
+
+@wp.func
 def store_joint_terms(since: int, dt: float, team: Team, graph: Graph, motions: Motions, joints: Joints):
     """Store the contributions of joints to the sums of a line search, and the largest ones of each island.
 
     Joints that are solved before and after contribute nothing, except at limits.
     """
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
-        terms = energy_terms(j, since, dt, motions, joints)
-        joints.terms[j] = terms
         island = island_of_joint(j, motions, joints, graph)
-        wp.atomic_max(graph.largest, island, float(wp.max(wp.abs(terms[0]), wp.abs(terms[1]))))
+        if island >= 0:
+            terms = energy_terms(j, since, dt, motions, joints)
+            joints.terms[j] = terms
+            wp.atomic_max(graph.largest, island, float(wp.max(wp.abs(terms[0]), wp.abs(terms[1]))))
     sync_team(team)
 
 
@@ -84,8 +104,9 @@ def add_joint_terms(team: Team, graph: Graph, motions: Motions, joints: Joints):
     """Add the contributions of joints, as `add_terms` those of constraints."""
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
         island = island_of_joint(j, motions, joints, graph)
-        terms = FIXED_POINT / wp.float64(graph.largest[island]) * joints.terms[j]
-        add_up(island, wp.int64(terms[0]), wp.int64(terms[1]), graph)
+        if island >= 0:
+            terms = FIXED_POINT / wp.float64(graph.largest[island]) * joints.terms[j]
+            add_up(island, wp.int64(terms[0]), wp.int64(terms[1]), graph)
     sync_team(team)
 
 
@@ -105,8 +126,7 @@ def scale_changes(
         if motions.role[b] == Role.FREE:
             scale_change(b, accepted_share(graph.island[b], graph), since, motions)
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
-        share = wp.float64(accepted_share(island_of_joint(j, motions, joints, graph), graph))
-        joints.total[j] = joints.start[j] + share * (joints.total[j] - joints.start[j])
+        blend_joint(j, graph, motions, joints)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         step_length = accepted_share(island_of(entry, motions, graph), graph)
@@ -116,13 +136,6 @@ def scale_changes(
             else:
                 scale_row(c, step_length, contacts)
     sync_team(team)
-
-
-@wp.func
-def island_of_joint(j: int, motions: Motions, joints: Joints, graph: Graph):
-    """The island of a joint's bodies."""
-    free = wp.where(motions.role[joints.body_a[j]] == Role.FREE, joints.body_a[j], joints.body_b[j])
-    return graph.island[free]
 
 
 @wp.func

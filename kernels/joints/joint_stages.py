@@ -11,6 +11,7 @@ from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.factor import factorize
 from warp_rigid.kernels.joints.impacts import add_rotor_speeds, bounce_pairs, leave_out_joined
 from warp_rigid.kernels.joints.initial_impulses import (
+    blend_joint,
     island_of_joint,
     search_energy,
     store_before_impulses,
@@ -57,7 +58,7 @@ from warp_rigid.kernels.solve.gauss_seidel import (
     report_sweeps,
     sweeps_of,
 )
-from warp_rigid.kernels.solve.line_search import FIXED_POINT, accepted_share, searched
+from warp_rigid.kernels.solve.line_search import FIXED_POINT, add_up, searched
 from warp_rigid.kernels.solve.restitution import bounce_groups, open_impacts, sweep_impacts
 from warp_rigid.kernels.solve.shock import has_repetition, is_propagated
 from warp_rigid.kernels.solve.simultaneous_impacts import find_bouncing
@@ -343,11 +344,11 @@ def add_energy_of_joints(
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
         island = island_of_joint(j, motions, joints, graph)
-        terms = energy_terms(j, START, dt, motions, joints) * wp.float64(1.0 / graph.largest[island])
-        for k in range(2):
-            terms[k] = FIXED_POINT * wp.clamp(terms[k], -MOST_OF_LARGEST, MOST_OF_LARGEST)
-        wp.atomic_add(graph.numerator, island, wp.int64(terms[0]))
-        wp.atomic_add(graph.denominator, island, wp.int64(terms[1]))
+        if island >= 0:
+            terms = energy_terms(j, START, dt, motions, joints) * wp.float64(1.0 / graph.largest[island])
+            for k in range(2):
+                terms[k] = FIXED_POINT * wp.clamp(terms[k], -MOST_OF_LARGEST, MOST_OF_LARGEST)
+            add_up(island, wp.int64(terms[0]), wp.int64(terms[1]), graph)
 
 
 @wp.kernel
@@ -357,8 +358,7 @@ def blend_joints(repetition: int, lanes: int, envs: Environments, graph: Graph, 
     if not has_repetition(repetition, team.env, envs) or not searched(team.env, envs, graph):
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
-        t = wp.float64(accepted_share(island_of_joint(j, motions, joints, graph), graph))
-        joints.total[j] = joints.start[j] + t * (joints.total[j] - joints.start[j])
+        blend_joint(j, graph, motions, joints)
 
 
 @wp.kernel

@@ -68,10 +68,9 @@ def energy_of(entry: OrderRecord, since: int, motions: Motions, contacts: Contac
     """
     now = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
     then = with_velocities(entry.body_a, entry.body_b, since, now, motions)
-    kept = wp.where(since == START, 1.0, 0.0)
     sums = wp.vec2(0.0, 0.0)
     for row in range(entry.begin, entry.end):
-        sums += energy_terms(row, kept, then, now, contacts)
+        sums += energy_terms(row, since == START, then, now, contacts)
     return sums
 
 
