@@ -202,8 +202,15 @@ def test_signature_and_keywords_list_the_coefficients(add):
     assert {name: parameters[name].default for name in COEFFICIENTS} == {
         "friction": 0.5, "restitution": 0.0, "rolling_friction": 0.0, "spinning_friction": 0.0,
     }  # fmt: skip
-    with pytest.raises(TypeError, match="^unexpected keyword argument 'fricton'$"):
+    with pytest.raises(TypeError, match="^unexpected keyword argument 'fricton'; did you mean friction or "):
         add(Scene(), Lump(), fricton=0.5)
+
+
+def test_an_unknown_keyword_is_answered_with_those_of_the_method():
+    with pytest.raises(TypeError, match="'velocity'; did you mean linear_velocity or angular_velocity\\? All names: "):
+        Scene().add_body(Lump(), velocity=(1, 0, 0))
+    with pytest.raises(TypeError, match="'mass'; .*all names: position, (?!.*mass|.*density)"):
+        Scene().add_static(Lump(), mass=1)
 
 
 def test_density_and_mass_exclude_each_other():

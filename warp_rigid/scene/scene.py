@@ -7,11 +7,22 @@ is given, so that an error is reported at the line that caused it.
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from inspect import signature
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
+from warp_rigid.checks import (
+    LARGEST,
+    box_corners,
+    finite_vector,
+    number_in,
+    one_of,
+    shown,
+    suggestion,
+    unit_quaternion,
+    whole_in,
+)
 from warp_rigid.display import html_of
 from warp_rigid.kernels.enums import CombineRule, Coordinate, Motion
 from warp_rigid.scene.camera import Camera
@@ -462,7 +473,9 @@ class Scene:
             if keyword in SURFACE_VELOCITIES:
                 raise ValueError(f"{keyword}: must be of a static or kinematic body, not of a dynamic one")
             if keyword not in COEFFICIENTS:
-                raise TypeError(f"unexpected keyword argument {keyword!r}")
+                add = self.add_body if motion == Motion.DYNAMIC else getattr(self, f"add_{motion.name.lower()}")
+                known = list(signature(add).parameters)[1:]
+                raise TypeError(f"unexpected keyword argument {keyword!r}{suggestion(keyword, known)}")
         if name is not None and not isinstance(name, str):
             raise ValueError(f"name: must be a string, got {shown(name)}")
         if not isinstance(active, bool):
