@@ -300,7 +300,8 @@ def join_two_statics():
         (lambda: add(wr.SphericalJoint())[0].add_drive(0, stiffness=1.0),
          "joint: a SphericalJoint can be damped, but not driven: only damping can be given"),
         (lambda: add()[0].add_drive(1), "joint: must be a whole number from 0 to 0, got 1"),
-        (lambda: add()[0].add_drive("knee"), "joint: must be the index or name of a joint, got 'knee'"),
+        (lambda: add()[0].add_drive("knee"), "joint: must be the index or name of a joint, got 'knee'; "
+         "all names: fixedjoint_0"),
         (lambda: wr.Scene().add_drive(0), "joint: must be the index or name of a joint, got 0"),
     ],
 )  # fmt: skip

@@ -296,7 +296,8 @@ def test_a_reset_of_some_environments(device):
         (lambda: wr.Simulator([pile(), 3]), "scene 1: must be a Scene, got 3"),
         (
             lambda: two_scenes().set("friction", 0.1, bodies=["box_2"]),
-            "bodies: must be names of bodies of scene 0 (environment 0) (ground, box_0), got 'box_2'",
+            "bodies: must be names of bodies of scene 0 (environment 0), got 'box_2'; did you mean box_0? All names: "
+            "ground, box_0",
         ),
         (
             lambda: two_scenes().set("friction", 0.1, bodies=[3]),
@@ -304,7 +305,8 @@ def test_a_reset_of_some_environments(device):
         ),
         (
             lambda: two_scenes().set("friction", 0.1, envs=[1], bodies=["lid"]),
-            "bodies: must be names of bodies of scene 1 (environment 1) (ground, box_0, box_1, box_2), got 'lid'",
+            "bodies: must be names of bodies of scene 1 (environment 1), got 'lid'; all names: ground, box_0, box_1, "
+            "box_2",
         ),
         (
             lambda: two_scenes().set("friction", np.full((2, 3), 0.1)),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import array_of, listed, shown
+from warp_rigid.checks import array_of, listed, shown, suggestion
 from warp_rigid.engine.layout import LACKING, Layout
 from warp_rigid.scene.scene import Scene
 
@@ -122,7 +122,8 @@ def indices_in(scene: Scene, given: Any, name: str, symbol: str, whose: str = ""
         return _whole_indices(name, given, len(place), whose)
     for one in names:
         if one not in place:
-            raise ValueError(f"{name}: must be names of {symbol}{whose} ({listed(list(place))}), got {shown(one)}")
+            known = suggestion(one, place, listed(list(place)))
+            raise ValueError(f"{name}: must be names of {symbol}{whose}, got {shown(one)}{known}")
     _check_distinct(name, names, given)
     return np.array([place[one] for one in names], np.int64)
 

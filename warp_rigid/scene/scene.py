@@ -16,6 +16,7 @@ from warp_rigid.checks import (
     LARGEST,
     box_corners,
     finite_vector,
+    listed,
     number_in,
     one_of,
     shown,
@@ -528,10 +529,11 @@ def index_of(name: str, wanted: int | str, entries: Sequence[Body | JointEntry],
     """
     if not isinstance(wanted, str) and entries:
         return whole_in(name, wanted, 0, len(entries) - 1)
-    for index, entry in enumerate(entries):
-        if entry.name == wanted:
-            return index
-    raise ValueError(f"{name}: must be the index or name of {owner}, got {shown(wanted)}")
+    names = [entry.name for entry in entries]
+    if wanted in names:
+        return names.index(wanted)
+    known = suggestion(wanted, names, listed(names)) if names else ""
+    raise ValueError(f"{name}: must be the index or name of {owner}, got {shown(wanted)}{known}")
 
 
 def unique_name(wanted: str, copies: dict[str, int]) -> str:
