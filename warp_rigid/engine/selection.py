@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import array_of, listed, shown, suggestion
+from warp_rigid.checks import array_of, brief, listed, shown, suggestion
 from warp_rigid.engine.layout import LACKING, Layout
 from warp_rigid.scene.scene import Scene
 
@@ -24,7 +24,9 @@ def env_indices(num_envs: int, envs: Any) -> np.ndarray:
     if envs is None or isinstance(envs, slice):
         return np.arange(num_envs)[slice(None) if envs is None else envs]
     mask = _as_array("envs", envs)
-    if mask.dtype == bool and mask.shape == (num_envs,):
+    if mask.dtype == bool:
+        if mask.shape != (num_envs,):
+            raise ValueError(f"envs: a mask must have the shape ({num_envs},), got {brief(envs)}")
         return np.flatnonzero(mask)
     return _whole_indices("envs", envs, num_envs)
 
