@@ -321,6 +321,10 @@ def test_a_reset_of_some_environments(device):
             "friction: must be numbers that broadcast to (2, 4), got shape (2,); one per environment has shape (2, 1)",
         ),
         (
+            lambda: two_scenes().set("active", np.array([True, False])),
+            "active: must broadcast to (2, 4), got shape (2,); one per environment has shape (2, 1)",
+        ),
+        (
             lambda: two_scenes().set("position", np.zeros((2, 3))),
             "position: must be numbers that broadcast to (2, 4, 3), got shape (2, 3); one per environment has shape "
             "(2, 1, 3)",

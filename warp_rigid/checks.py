@@ -129,12 +129,15 @@ def numbers_of_shape(name, value, shape):
             raise TypeError
         return np.broadcast_to(array, shape)
     except (ValueError, TypeError) as error:
-        got, hint = brief(value), ""
-        if isinstance(error, TypeError):
-            got = shown(value)
-        elif len(shape) > 1 and shape_of(value) == (shape[0], *shape[2:]):
-            hint = f"; one per environment has shape {(shape[0], 1, *shape[2:])}"
-        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {got}{hint}") from error
+        got = shown(value) if isinstance(error, TypeError) else _got_shape(value, shape)
+        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {got}") from error
+
+
+def _got_shape(value, shape):
+    """Format a value that does not broadcast to a shape, with the shape for one value per environment if meant."""
+    per_environment = len(shape) > 1 and shape_of(value) == (shape[0], *shape[2:])
+    hint = f"; one per environment has shape {(shape[0], 1, *shape[2:])}" if per_environment else ""
+    return f"{brief(value)}{hint}"
 
 
 def refuse_others(name, values, allowed, kind):
@@ -161,7 +164,7 @@ def flags(name, value, shape):
     try:
         return np.broadcast_to(array, shape)
     except ValueError as error:
-        raise ValueError(f"{name}: must broadcast to {shape}, got {brief(value)}") from error
+        raise ValueError(f"{name}: must broadcast to {shape}, got {_got_shape(value, shape)}") from error
 
 
 def brief(value):
