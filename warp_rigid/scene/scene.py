@@ -194,6 +194,9 @@ class Scene:
     ) -> int:
         """Add a dynamic body, which moves under forces and contacts.
 
+        Of the coefficients of two bodies in contact the smaller one counts, unless the scene has other rules: a ball of
+        restitution 0.8 does not bounce on a plane whose restitution is 0, the default.
+
         Args:
             shape: a shape with a volume (no Plane, no Heightfield).
             position: (3,) origin of the shape's frame in the world [m].
