@@ -14,7 +14,8 @@ def import_usd(
 
     Lengths, masses and the up axis are converted to metres, kilograms and z. Meshes collide as nonconvex solids with a
     signed distance grid. References, instances and PointInstancers are expanded. Poses are those at the start of the
-    animation; animated kinematic bodies follow their motion as a path.
+    animation; animated kinematic bodies follow their motion as a path. A file that export_usd wrote with several
+    environments becomes one scene with the bodies of all of them; root="/World/env_0000" reads the first one.
 
     Unsupported content, such as D6 joints, is listed in `scene.import_report`, with a warning.
 
