@@ -92,12 +92,12 @@ SWEEPS_PER_LEVEL_OF_PILE = wp.constant(2)
 """The same in piles without joints. With one, a bunny rocks by 1 mrad."""
 
 PAIR_ITERATIONS = wp.constant(4)
-"""Maximum rounds over the contacts of a pair per visit, if its upper body has no other support. With one, a stack of 50
-collapses."""
+"""Maximum iterations over the contacts of a pair per visit, if its upper body has no other support. With one, a stack
+of 50 collapses."""
 
 SHARED_ITERATIONS = wp.constant(2)
-"""Maximum rounds over the contacts of a pair per visit, if its upper body has several supports. With one, the tower of
-beams collapses; with eight, the first pair takes the whole load, and a pyramid of 20 rows is deformed by 1 mm."""
+"""Maximum iterations over the contacts of a pair per visit, if its upper body has several supports. With one, the tower
+of beams collapses; with eight, the first pair takes the whole load, and a pyramid of 20 rows is deformed by 1 mm."""
 
 # Rounds
 
@@ -169,9 +169,9 @@ others."""
 # Impacts
 
 IMPACT_ITERATIONS = wp.constant(8)
-"""Maximum rounds over the contacts of a pair per impact, or per sweep over a group of them. A box of 1 m that bounces
-at 7 m/s off a base of a tenth of its width, 2 cm beside the middle, leaves with 4e-2 rad/s, with 16 rounds with 2e-3;
-over the middle it does not turn."""
+"""Maximum iterations over the contacts of a pair per impact, or per sweep over a group of them. A box of 1 m that
+bounces at 7 m/s off a base of a tenth of its width, 2 cm beside the middle, leaves with 4e-2 rad/s, with 16 iterations
+with 2e-3; over the middle it does not turn."""
 
 GROUP_SWEEPS = wp.constant(16)
 """Maximum sweeps over a group of simultaneous impacts. In a box that lands on two tiles, 4 sweeps leave an error of

@@ -146,7 +146,7 @@ def bounce_alone(entry: OrderRecord, dt: float, pull: wp.vec3, motions: Motions,
     set_normal_impulses(entry.begin, entry.end, impulse, contacts)
     visit = with_equal_pushes(entry, impulse, visit, contacts, joints)
     unit = motions.velocity_unit[visit.a]
-    # As many rounds as a pair of a group gets in all its sweeps.
+    # As many iterations as a pair of a group gets in all its sweeps.
     left = int(GROUP_SWEEPS * IMPACT_ITERATIONS)
     while left > 0:
         visit.change = 0.0

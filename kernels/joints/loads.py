@@ -61,8 +61,8 @@ executed where all contacts of an island are those of mechanisms (TOUCHED), nor 
 (LOADED). They are needed for a load that is heavier than the mechanism under it, which the ground carries (CRUSHED).
 """
 
-PAIR_ROUNDS = wp.constant(4)
-"""Maximum rounds over the contacts of a pair in a visit."""
+VISIT_ITERATIONS = wp.constant(4)
+"""Maximum iterations over the contacts of a pair in a visit."""
 
 
 @wp.func
@@ -447,7 +447,7 @@ def solve_alone(start: int, entry: OrderRecord, motions: Motions, contacts: Cont
     first = float(0.0)
     if start == 1:
         distribute_contact_load(entry.begin, entry.end, contacts)
-    left = int(PAIR_ROUNDS)
+    left = int(VISIT_ITERATIONS)
     while left > 0:
         visit.change = 0.0
         for c in range(entry.begin, entry.end):

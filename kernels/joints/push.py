@@ -12,7 +12,7 @@ from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, part_of_team, 
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import (
-    PAIR_ROUNDS,
+    VISIT_ITERATIONS,
     Visit,
     answer_pair,
     open_visit,
@@ -100,7 +100,7 @@ def push_alone(entry: OrderRecord, motions: Motions, contacts: Contacts, joints:
     visit.pair = with_velocities(visit.a, visit.b, PUSH, visit.pair, motions)
     visit = push_together(entry, visit, contacts, joints)
     first = float(0.0)
-    left = int(PAIR_ROUNDS)
+    left = int(VISIT_ITERATIONS)
     while left > 0:
         visit.change = 0.0
         for c in range(entry.begin, entry.end):

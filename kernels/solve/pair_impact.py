@@ -202,11 +202,11 @@ def with_equal_impulses(begin: int, end: int, impulse: float, pair: BodyPair, co
 
 @wp.func
 def with_equal_start(begin: int, end: int, pair: BodyPair, contacts: Contacts):
-    """The bodies after `equal_impulse`, from which the rounds over the contacts of a pair with restitution start.
+    """The bodies after `equal_impulse`, from which iterations over the contacts of a pair with restitution start.
 
     From zero, the first contact would stop the bodies alone, and the spin that this gives them decays by as little as
-    6 % a round where the contacts are within a tenth of the body's width. Without restitution, the contact solver
-    follows.
+    6 % an iteration where the contacts are within a tenth of the body's width. Without restitution, the contact
+    solver follows.
     """
     response = with_equal_impulses(begin, end, 1.0, at_rest(pair), contacts)
     start = equal_impulse(begin, end, pair, response, contacts)
@@ -220,9 +220,9 @@ def with_equal_start(begin: int, end: int, pair: BodyPair, contacts: Contacts):
 def with_impacts(
     begin: int, end: int, mobility_a: float, mobility_b: float, unit: float, pair: BodyPair, contacts: Contacts
 ):
-    """The bodies after rounds over the contacts of a pair, whose targets are set.
+    """The bodies after iterations over the contacts of a pair, whose targets are set.
 
-    `change` of the result is the largest one of the rounds, and of the start if that is larger.
+    `change` of the result is the largest one of the iterations, and of the start if that is larger.
     """
     largest = pair.change
     left = int(IMPACT_ITERATIONS)

@@ -120,8 +120,8 @@ def add_load(b: int, pair: BodyPair, motions: Motions):
 
 
 @wp.func
-def rounds_of(entry: OrderRecord, graph: Graph):
-    """Maximum rounds over the rows of a constraint per visit."""
+def iterations_of(entry: OrderRecord, graph: Graph):
+    """Maximum iterations over the rows of a constraint per visit."""
     several_a = entry.upper_a == 1 and graph.support_count[entry.body_a] > 1
     several_b = entry.upper_b == 1 and graph.support_count[entry.body_b] > 1
     return wp.where(several_a or several_b, SHARED_ITERATIONS, PAIR_ITERATIONS)
@@ -142,7 +142,7 @@ def visit_frozen(
         pair = under_load(entry, pair, motions)
     changed = int(0)
     tolerance = CONVERGED * motions.velocity_unit[entry.body_a]
-    left = rounds_of(entry, graph)
+    left = iterations_of(entry, graph)
     while left > 0:
         pair.change = 0.0
         for row in range(entry.begin, entry.end):
