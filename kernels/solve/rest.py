@@ -42,7 +42,7 @@ def speed_of(b: int, graph: Graph, motions: Motions):
 
 
 @wp.func
-def is_swept(b: int, graph: Graph, motions: Motions):
+def has_swept_constraints(b: int, graph: Graph, motions: Motions):
     """Whether a body is dynamic and has constraints that are solved in sweeps."""
     dynamic = inverse_mass_of(b, motions) > 0.0
     return dynamic and graph.touching[b] + graph.tied[b] > 0 and graph.solver[b] != IslandSolver.ROUNDS
@@ -106,13 +106,13 @@ def find_slow(slow: float, first: int, last: int, team: Team, graph: Graph, moti
         graph.resting[b] = 0
     sync_team(team)
     for b in range(first + team.lane, last, team.lanes):
-        if is_swept(b, graph, motions) and graph.depth[b] >= DEEP_ENOUGH and graph.depth[b] < UNSUPPORTED:
+        if has_swept_constraints(b, graph, motions) and graph.depth[b] >= DEEP_ENOUGH and graph.depth[b] < UNSUPPORTED:
             island = graph.island[b]
             if graph.converged[team.env] == 0 or graph.island_speed[island] == 0.0:
                 graph.resting[island] = 1
     sync_team(team)
     for b in range(first + team.lane, last, team.lanes):
-        if is_swept(b, graph, motions) and (graph.tied[b] == 1 or speed_of(b, graph, motions) > slow):
+        if has_swept_constraints(b, graph, motions) and (graph.tied[b] == 1 or speed_of(b, graph, motions) > slow):
             graph.resting[graph.island[b]] = 0
     sync_team(team)
     found = int(0)
@@ -139,7 +139,7 @@ def leave_out_free(
                 find_held(upper, entry.begin, entry.end, far, graph, contacts)
     sync_team(team)
     for b in range(first + team.lane, last, team.lanes):
-        if is_swept(b, graph, motions) and graph.pressed[b] * graph.stuck[b] == 0:
+        if has_swept_constraints(b, graph, motions) and graph.pressed[b] * graph.stuck[b] == 0:
             graph.resting[graph.island[b]] = 0
     sync_team(team)
 
@@ -160,7 +160,7 @@ def stop_resting_islands(
     leave_out_free(CLEARANCE * slow, first, last, team, order, graph, motions, contacts)
     others = int(0)
     for b in range(first + team.lane, last, team.lanes):
-        if is_swept(b, graph, motions):
+        if has_swept_constraints(b, graph, motions):
             if graph.resting[graph.island[b]] == 1:
                 motions.solver_bodies[b].linear = wp.vec3(0.0, 0.0, 0.0)
                 motions.solver_bodies[b].angular = wp.vec3(0.0, 0.0, 0.0)
