@@ -39,7 +39,7 @@ from warp_rigid.kernels.joints.mechanism import IN_CONTACT, needs_solution, solv
 from warp_rigid.kernels.joints.responses import push_mechanism, store_response
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import is_of_level, solve_constraint
-from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_of_color, stride_of_color
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
 from warp_rigid.kernels.solve.shock import island_of
 from warp_rigid.kernels.tuning import CONVERGED
 
@@ -135,7 +135,7 @@ def find_touched(team: Team, order: Order, motions: Motions, joints: Joints):
         if joints.activity[m] == IN_CONTACT:
             joints.weight[m] = weight_of(m, motions, joints)
     sync_team(team)
-    for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
+    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         note_touch(entry_at(k, order), motions, joints)
     sync_team(team)
     for m in range(begin, end, team.lanes):
@@ -195,7 +195,7 @@ def leave_out_of_shock(first: int, last: int, team: Team, order: Order, motions:
     for b in range(first + team.lane, last, team.lanes):
         joints.swept[b] = 0
     sync_team(team)
-    for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
+    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         if not is_visited(entry, joints):
             joints.swept[island_of(entry, motions, graph)] = 1

@@ -16,7 +16,7 @@ from warp_rigid.kernels.graph.coloring import NO_BID
 from warp_rigid.kernels.joints.arrays import TURN_WORDS, Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import is_visited, solved_mechanism, visit_pair
 from warp_rigid.kernels.schema import Contacts, Graph, Motions, Order
-from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -94,7 +94,7 @@ def start_turns(first: int, last: int, team: Team, order: Order, graph: Graph, j
         graph.changed[b] = 0
         for word in range(TURN_WORDS):
             visits.taken[b, word] = wp.uint32(0)
-    for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
+    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         order.entries[k].visited = wp.where(is_visited(entry_at(k, order), joints), WAITING, LEFT_OUT)
     sync_team(team)
 
@@ -112,7 +112,7 @@ def bid_or_take(
 ):
     """All waiting pairs bid for a turn, or those that won take theirs (`takes`). Returns 1 if a lane's pair waits."""
     waits = int(0)
-    for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
+    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         if entry.visited == WAITING:
             a = occupied(entry.body_a, motions, joints)
