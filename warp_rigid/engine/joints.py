@@ -83,7 +83,7 @@ def _of_environments(layout: Any, parts: Sequence[np.ndarray], field: declare.Fi
 
     An array with one row more than its symbol counts holds sums, and ends with their total.
     """
-    symbol, _, is_sum = field.shape.split(",")[0].partition(" + ")
+    is_sum = declare.is_sum(field)
     parts = [rows[:-1] for rows in parts] if is_sum else parts
     lengths = [len(rows) for rows in parts]
     values = np.concatenate(parts)[layout.copies(lengths)]
