@@ -20,22 +20,22 @@ class HeapStages:
     """
 
     def __init__(self, stages: Any) -> None:
-        """Launch nothing yet."""
+        """Look up the arrays."""
         self.model, self.state, self.envs = stages.model, stages.state, stages.envs
         self.pools, self.motions = stages.pools, stages.motions
         self.dt, self.device = stages.dt, stages.device
         self._step = stages
         self.parts: StepParts = stages.parts
-        self.bodies, self.most_pairs = stages.rows, stages.pools.sizes["pairs"]
+        self.rows, self.most_pairs = stages.rows, stages.pools.sizes["pairs"]
 
     def list_pairs(self) -> None:
         """List the pairs that are solved in rounds, and give them slots."""
         pools, solved = self.pools, self.pools.rounds
-        self._step.share(rounds.open_rounds, self.bodies, [], [solved], before=[0])
-        self._step.share(rounds.open_slots, self.bodies, [], [pools.slots])
+        self._step.share(rounds.open_rounds, self.rows, [], [solved], before=[0])
+        self._step.share(rounds.open_slots, self.rows, [], [pools.slots])
         found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
         self._step.share(rounds.list_pairs, self.most_pairs, found, [solved, pools.slots], before=[self.dt])
-        self._step.share(rounds.assign_slots, self.bodies, [], [pools.slots])
+        self._step.share(rounds.assign_slots, self.rows, [], [pools.slots])
         self._per_round_pair(rounds.place_pairs, solved, [], [pools.slots, pools.contacts])
 
     def solve_impacts(self) -> None:
@@ -44,14 +44,14 @@ class HeapStages:
         changed = [self.motions, pools.contacts, pools.slots]
 
         def find(done: int) -> None:
-            self._step.share(rounds.open_rounds, self.bodies, [], [hit], before=[done])
+            self._step.share(rounds.open_rounds, self.rows, [], [hit], before=[done])
             inputs = [self.envs, pools.rounds, hit]
             self._step.share(impact_rounds.find_impacts, self.most_pairs, inputs, changed, before=[self.dt])
 
         def solve() -> None:
             counted = [*changed, pools.graph.impact_rounds]
             self._per_round_pair(impact_rounds.impact_round, hit, [self.envs], counted, [self.dt])
-            self._step.share(rounds.finish_bodies, self.bodies, [pools.slots], [self.motions])
+            self._step.share(rounds.finish_bodies, self.rows, [pools.slots], [self.motions])
             find(done=1)
 
         find(done=0)
@@ -64,7 +64,7 @@ class HeapStages:
         self._per_round_pair(rounds.start_rounds, solved, [], changed)
         self._repeat_rounds(rounds.solve_round, solved, [pools.contacts, pools.graph.residual])
         self._per_round_pair(rounds.finish_pairs, solved, [], [*changed, pools.graph.rounds])
-        self._step.share(rounds.finish_bodies, self.bodies, [pools.slots], [self.motions])
+        self._step.share(rounds.finish_bodies, self.rows, [pools.slots], [self.motions])
         self._stop_resting_islands()
 
     def _stop_resting_islands(self) -> None:
@@ -78,7 +78,7 @@ class HeapStages:
     def push_out(self) -> None:
         """Push-out in rounds."""
         model, pools, pushed = self.model, self.pools, self.pools.selected
-        self._step.share(rounds.open_rounds, self.bodies, [], [pushed], before=[0])
+        self._step.share(rounds.open_rounds, self.rows, [], [pushed], before=[0])
         inputs = [model.shapes, model.bodies, self.state, pools.pairs, self.motions, pools.contacts, pools.rounds]
         found = [pushed, pools.slots]
         self._step.share(push_rounds.find_overlaps_of_rounds, self.most_pairs, inputs, found, before=[self.dt])
@@ -86,7 +86,7 @@ class HeapStages:
         changed = [pools.slots, self.motions, pools.contacts]
         self._repeat_rounds(push_rounds.push_round, pushed, [pools.contacts])
         self._per_round_pair(push_rounds.finish_push, pushed, [], [*changed, pools.graph.push_out_rounds])
-        self._step.share(push_rounds.store_push, self.bodies, [pushed, pools.slots], [self.motions])
+        self._step.share(push_rounds.store_push, self.rows, [pushed, pools.slots], [self.motions])
 
     def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
         """Execute rounds until no environment needs another one: in groups of launches on a GPU, in one on a CPU."""
@@ -108,4 +108,4 @@ class HeapStages:
 
     def _per_round_pair(self, kernel: Any, some: Any, inputs: list, outputs: list, before: Sequence = ()) -> None:
         """Launch a kernel whose threads share the pairs that are solved in rounds."""
-        self._step.share(kernel, self.most_pairs, [*inputs, some], outputs, before=[*before])
+        self._step.share(kernel, self.most_pairs, [*inputs, some], outputs, before=before)
