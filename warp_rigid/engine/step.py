@@ -220,12 +220,13 @@ class Stages:
     def build_graph(self) -> None:
         """Contact graph: supports, islands and how each is solved, levels, and colouring for the solving order."""
         bodies, constraints, graph = self.model.bodies, self.pools.constraints, self.pools.graph
-        self._per_constraint(support.start_graph, [self.envs, self.pools.pairs], [constraints, graph])
+        most = self.pools.sizes["pairs"]
+        self.share(support.start_graph, most, [self.envs, self.pools.pairs], [constraints, graph])
         found = [bodies, self.motions, self.pools.contacts, constraints]
-        self._per_constraint(support.find_support, found, [graph])
+        self.share(support.find_support, most, found, [graph])
         self.per_env(support.compare_graph, [], [graph])
         self.per_body(islands.start_islands, [bodies], [graph])
-        self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
+        self.share(islands.join_islands, most, [bodies, constraints], [graph])
         self.joints.join_islands()
         voting = [self.dt, self.model.shapes, bodies, self.envs, self.motions]
         self.per_body(islands.vote, voting, [graph, self.state])
@@ -375,11 +376,8 @@ class Stages:
         """Launch a kernel with a thread for each body."""
         self.launch(kernel, self.rows, inputs, outputs)
 
-    def _per_constraint(self, kernel: Any, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose threads share all constraints."""
-        self.share(kernel, self.pools.sizes["pairs"], inputs, outputs)
-
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
+        """Launch a kernel with a thread for each pair."""
         self.launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
     def share(
