@@ -14,7 +14,7 @@ NearSamples = layout(
     "NearSamples",
     "Samples that may touch in a step: first those of searched pairs, each of which has a chain of batches in sample "
     "order, then those of the contacts that other pairs keep.",
-    begin=Field(int, "2", "", "number of samples of each kind before the second round of the search"),
+    begin=Field(int, "2", "", "number of samples of each kind before the second search"),
     count=Field(int, "2", "", "number of samples of each kind, also of those that do not fit"),
     first=Field(int, "pairs", "", "first sample of the first batch of a searched pair, -1 if it has none"),
     next=Field(int, "near_samples", "", "at the first sample of a batch: that of the pair's next batch, or -1"),

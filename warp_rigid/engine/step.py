@@ -173,8 +173,8 @@ class Stages:
         inputs = [dt, model.shapes, model.bodies, self.state, self.sleep_state, self.envs, model.fields]
         self.per_body(predict.derive_motion, inputs, [self.motions])
         self.joints.bound_travel()
-        if self.model.surface_vertices:
-            inputs = [self.model.shapes, self.model.bodies, self.envs]
+        if model.surface_vertices:
+            inputs = [model.shapes, model.bodies, self.envs]
             self.per_body(ground_motion.drive_ground, inputs, [self.motions])
 
     @stage
@@ -450,11 +450,11 @@ class Stages:
         self.share(ccd.trace_suspects, samples, inputs, [suspects, self.motions, pools.wanted], before=before)
 
     def _search_contacts(self, woken: int) -> None:
-        """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
+        """One search of the narrow phase: of the awake pairs, or of those that have just been woken."""
         pools, pairs, near = self.pools, self.pools.pairs, self.pools.near
         searched = [*self.moving, self.envs]
         pairs.candidate_count.zero_()
-        if woken:  # the samples of the second round follow those of the first
+        if woken:  # the samples of the second search follow those of the first
             wp.copy(near.begin, near.count)
         size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.listing_lanes
         with self.parts.shared():
