@@ -216,7 +216,8 @@ class JointStages:
         step, kernels, pools = self._step, self.kernels, self.pools
         graph, motions = pools.graph, self.motions
         changed = [pools.order, graph, motions, pools.contacts, self.arrays, pools.visits]
-        self.settle(after_push=0)
+        self._per_mechanism(kernels.move_untouched, [self.dt], [self.bodies, self.state], [motions, self.arrays])
+        self._settle(after_push=0)
         self._per_team(kernels.warm_start_with_joints, [pools.constraints, *changed])
         self._per_team(kernels.sweep_with_joints, changed, [0, 0, self.dt])
         step.solve_parts(SolverPart.REST)
@@ -232,11 +233,9 @@ class JointStages:
         self._per_team(kernels.sweep_with_joints, changed, [1, 0, self.dt])
         step.solve_parts(SolverPart.CALM)
 
-    def settle(self, after_push: int) -> None:
+    def _settle(self, after_push: int) -> None:
         """Solve the mechanisms for the pose that the step ends with, before the sweeps or after the push-out."""
         inputs, changed = [self.bodies, self.state], [self.motions, self.arrays]
-        if after_push == 0:
-            self._per_mechanism(self.kernels.move_untouched, [self.dt], inputs, changed)
         self._per_mechanism(self.kernels.settle_joints, [after_push, self.dt], inputs, changed)
 
     def push_out(self) -> None:
@@ -245,7 +244,7 @@ class JointStages:
             pools = self.pools
             changed = [pools.order, pools.graph, self.motions, pools.contacts, self.arrays, pools.visits]
             self._per_team(self.kernels.push_joined, changed)
-            self.settle(after_push=1)
+            self._settle(after_push=1)
 
     def join_courses(self) -> None:
         """Before a round of impacts: the bodies of a mechanism move on alike after one."""
