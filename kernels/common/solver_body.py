@@ -141,6 +141,15 @@ def store_bodies(a: int, b: int, pair: BodyPair, motions: Motions):
 
 
 @wp.func
+def store_velocities(a: int, b: int, which: int, pair: BodyPair, motions: Motions):
+    """Store the velocities of the bodies that have an inverse mass as PUSH or UNDER_LOAD."""
+    if pair.inverse_mass_a > 0.0:
+        store_velocity(a, which, pair.linear_a, pair.angular_a, motions)
+    if pair.inverse_mass_b > 0.0:
+        store_velocity(b, which, pair.linear_b, pair.angular_b, motions)
+
+
+@wp.func
 def relative_velocity(arm_a: wp.vec3, arm_b: wp.vec3, pair: BodyPair):
     """Velocity of the first body relative to the second, at points relative to their centres of mass [m/s]."""
     va = pair.linear_a + wp.cross(pair.angular_a, arm_a)

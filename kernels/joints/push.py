@@ -7,7 +7,7 @@ foot of 1 kg back, a twentieth of the correction is left.
 import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
-from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity, with_velocities
+from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocities, with_velocities
 from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, part_of_team, sync_team
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
@@ -107,10 +107,7 @@ def push_alone(entry: OrderRecord, motions: Motions, contacts: Contacts, joints:
             visit = push_touch(c, visit, contacts, joints)
         first = wp.max(first, visit.change)
         left = wp.where(visit.change > PUSH_OUT_CONVERGED * motions.velocity_unit[visit.a], left - 1, 0)
-    if visit.pair.inverse_mass_a > 0.0:
-        store_velocity(visit.a, PUSH, visit.pair.linear_a, visit.pair.angular_a, motions)
-    if visit.pair.inverse_mass_b > 0.0:
-        store_velocity(visit.b, PUSH, visit.pair.linear_b, visit.pair.angular_b, motions)
+    store_velocities(visit.a, visit.b, PUSH, visit.pair, motions)
     store_impulses(visit, joints)
     return first
 

@@ -15,7 +15,7 @@ from warp_rigid.kernels.common.solver_body import (
     PUSH,
     BodyPair,
     load_bodies,
-    store_velocity,
+    store_velocities,
     with_impulse,
     with_velocities,
 )
@@ -167,10 +167,7 @@ def push_pair(entry: OrderRecord, freeze: int, motions: Motions, contacts: Conta
     pair = with_velocities(a, b, PUSH, pair, motions)
     for c in range(entry.begin, entry.end):
         pair = push_contact(c, mobility_a, mobility_b, pull, pair, contacts)
-    if pair.inverse_mass_a > 0.0:
-        store_velocity(a, PUSH, pair.linear_a, pair.angular_a, motions)
-    if pair.inverse_mass_b > 0.0:
-        store_velocity(b, PUSH, pair.linear_b, pair.angular_b, motions)
+    store_velocities(a, b, PUSH, pair, motions)
     return wp.where(pair.change > PUSH_OUT_CONVERGED * motions.velocity_unit[a], 1, 0)
 
 

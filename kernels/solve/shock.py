@@ -25,6 +25,7 @@ from warp_rigid.kernels.common.solver_body import (
     load_bodies,
     load_velocity,
     store_bodies,
+    store_velocities,
     store_velocity,
 )
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
@@ -99,15 +100,6 @@ def under_load(entry: OrderRecord, pair: BodyPair, motions: Motions):
 
 
 @wp.func
-def store_loaded_bodies(entry: OrderRecord, pair: BodyPair, motions: Motions):
-    """Store the velocities of the bodies that are not frozen as their velocities under load."""
-    if pair.inverse_mass_a > 0.0:
-        store_velocity(entry.body_a, UNDER_LOAD, pair.linear_a, pair.angular_a, motions)
-    if pair.inverse_mass_b > 0.0:
-        store_velocity(entry.body_b, UNDER_LOAD, pair.linear_b, pair.angular_b, motions)
-
-
-@wp.func
 def add_load(b: int, pair: BodyPair, motions: Motions):
     """Add the impulse on a frozen body to its load."""
     inverse_mass = inverse_mass_of(b, motions)
@@ -150,7 +142,7 @@ def visit_frozen(
         left = wp.where(pair.change > tolerance, left - 1, 0)
         changed |= wp.where(pair.change > tolerance, 1, 0)
     if down == 1:
-        store_loaded_bodies(entry, pair, motions)
+        store_velocities(entry.body_a, entry.body_b, UNDER_LOAD, pair, motions)
     else:
         store_bodies(entry.body_a, entry.body_b, pair, motions)
     if entry.upper_a == 0:
