@@ -259,3 +259,23 @@ def test_fields():
         PointField(center=(0, 0, 0), strength=math.nan)
     with pytest.raises(ValueError, match="^acceleration: must be 3 finite numbers"):
         UniformField(acceleration=(0, math.inf, 0))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("gravity", -9.81),
+        ("gravity", (0, 0, math.nan)),
+        ("friction_combine", "mean"),
+        ("restitution_combine", None),
+        ("bounds", 10),
+        ("out_of_bounds", "kill"),
+        ("camera", "front"),
+    ],
+)
+def test_attributes_are_checked_when_they_are_set(name, value):
+    scene = Scene()
+    before = getattr(scene, name)
+    with pytest.raises(ValueError, match=f"^{name}: must be "):
+        setattr(scene, name, value)
+    assert getattr(scene, name) == before

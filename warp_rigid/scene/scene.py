@@ -4,9 +4,10 @@ A scene is described once and simulated in many environments. It holds no device
 is given, so that an error is reported at the line that caused it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -56,6 +57,23 @@ LIGHTEST, HEAVIEST = 1e-17, 1e15
 """Range of masses [kg]: the squares of their inverses are numbers of single precision."""
 
 _SMALLEST = float(np.finfo(np.float32).tiny)
+
+
+def _checked_camera(name: str, value: Any) -> Camera | None:
+    if value is not None and not isinstance(value, Camera):
+        raise ValueError(f"{name}: must be a Camera or None, got {shown(value)}")
+    return value
+
+
+_CHECKS: dict[str, Callable[[str, Any], Any]] = {
+    "gravity": finite_vector,
+    "friction_combine": partial(one_of, choices=COMBINE_RULES),
+    "restitution_combine": partial(one_of, choices=COMBINE_RULES),
+    "bounds": lambda name, value: None if value is None else box_corners(name, value),
+    "out_of_bounds": partial(one_of, choices=OUT_OF_BOUNDS),
+    "camera": _checked_camera,
+}
+"""Checks of the attributes of a scene that may be set, which return the value to store."""
 
 
 @dataclass(frozen=True)
@@ -112,12 +130,12 @@ class Scene:
         joints: list of JointEntry, in the order in which they were added.
         import_report: what import_usd left out or changed; None for a scene that was not imported.
         parameters: with which the function scene() of a .py file was called, by name; {} for other scenes.
-        gravity: as given.
+        gravity: as given; may be set, as the following.
         friction_combine: as given.
         restitution_combine: as given.
         bounds: as given, or None.
         out_of_bounds: as given.
-        camera: as given; may be set.
+        camera: as given, or None.
         looks: Look of bodies by their index; imports fill it from the materials of their files.
 
     Raises:
@@ -136,11 +154,11 @@ class Scene:
     ) -> None:
         """Start an empty scene."""
         self.camera = camera
-        self.bounds = None if bounds is None else box_corners("bounds", bounds)
-        self.out_of_bounds = one_of("out_of_bounds", out_of_bounds, OUT_OF_BOUNDS)
-        self.gravity = finite_vector("gravity", gravity)
-        self.friction_combine = one_of("friction_combine", friction_combine, COMBINE_RULES)
-        self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
+        self.bounds: Any = bounds
+        self.out_of_bounds = out_of_bounds
+        self.gravity: Any = gravity
+        self.friction_combine = friction_combine
+        self.restitution_combine = restitution_combine
         self.bodies: list[Body] = []
         self._copies: dict[str, int] = {}
         self._copies_of_joints: dict[str, int] = {}
@@ -159,16 +177,9 @@ class Scene:
     def _repr_html_(self) -> str:
         return html_of(self)
 
-    @property
-    def camera(self) -> Camera | None:
-        """Camera of pictures, films, pages and USD files; None for one that keeps the moving bodies in view."""
-        return self._camera
-
-    @camera.setter
-    def camera(self, camera: Camera | None) -> None:
-        if camera is not None and not isinstance(camera, Camera):
-            raise ValueError(f"camera: must be a Camera or None, got {shown(camera)}")
-        self._camera = camera
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Check the attributes that may be set."""
+        super().__setattr__(name, _CHECKS[name](name, value) if name in _CHECKS else value)
 
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""
