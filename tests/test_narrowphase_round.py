@@ -136,3 +136,19 @@ def test_a_tilted_ring_touches_a_pole_on_both_sides(device):
     sim.step(60)
     assert sim.penetration()[0] < 1e-3
     assert np.abs(sim.get("position")[0, ring] - scene.bodies[ring].position).max() < 0.2
+
+
+@pytest.mark.parametrize("half_length", [0.131, 0.15, 0.3, 0.5])
+def test_a_rod_that_lies_across_a_disc_touches_it_where_it_leaves_the_face(device, half_length):
+    """At both ends, and along the normal of the face, also if they overlap."""
+    radius, cases = 0.12, list(itertools.product([0.0, 0.013, 0.061], [0.0, 2e-4, 1e-3]))
+    across, along = np.array([np.cos(0.5), np.sin(0.5), 0.0]), np.array([np.sin(0.5), -np.cos(0.5), 0.0])
+    places = [aside * across + (0.0, 0.0, 0.04 - depth) for aside, depth in cases]
+    turns = [rotate_about(across, 90)] * len(cases)
+    all_found = touches(device, Cylinder(radius, 0.02), Capsule(0.02, half_length), places, turns)
+    for (aside, depth), found in zip(cases, all_found, strict=True):
+        deepest = found["gap"] < 2e-5 - depth
+        reach = found["position"][deepest] @ along
+        edge = np.sqrt(radius**2 - aside**2)
+        assert (reach.min(), reach.max()) == pytest.approx((-edge, edge), abs=1e-3)
+        assert (np.abs(found["normal"][deepest, 2]) > 0.999).all()

@@ -188,13 +188,14 @@ def narrowed(search: Search, d: wp.vec4, turning: float):
     """Replace an end by the present point, whose distance is d, and evaluate next inside the smaller interval.
 
     For a curved distance, this is where the slope reaches zero if it changes linearly. If the slope has not halved, the
-    distance also has a kink, as where an edge leaves the side of a cylinder for its cap.
+    distance also has a kink, as where an edge leaves the side of a cylinder for its cap. Where an edge leaves a face on
+    which it lies flat, only tangents lead there.
     """
     now = slope_at(search, search.t, d)
     end = wp.where(now < turning, search.slope_low, search.slope_high)
     halved = 2.0 * wp.abs(now - turning) <= wp.abs(end - turning)
     curved = is_curved(search, d, now)
-    return next_inside(replace_end(search, d, turning), curved and halved)
+    return next_inside(replace_end(search, d, turning), curved and halved and turning == 0.0)
 
 
 @wp.func

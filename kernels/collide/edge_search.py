@@ -143,8 +143,8 @@ def to_flat_side(search: Search):
 @wp.func
 def edge_found(search: Search, radius: float, convex: int, weight: float):
     """The point is found. Evaluate next both sides of a crossing, or the faces that a flat edge's normal opposes."""
-    if radius > 0.0 and convex == 0:
-        # The axis of a rod may lie outside a grid where its surface does not.
+    if radius > 0.0 and (convex == 0 or search.crossing == 0):
+        # The surface of a rod may be inside another one, and its axis outside of a grid.
         search.start = search.query
         search.stage = BALL_CENTER
         return search
@@ -153,8 +153,6 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
         search.query = place_on(search, search.t - ASIDE * search.half)
         return search
     search.facing = weight * search.normal
-    search.distance -= radius
-    search.query -= radius * search.direction
     search.stage = EDGE_FACING
     search.query += to_flat_side(search)
     return search
