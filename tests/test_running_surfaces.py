@@ -181,26 +181,6 @@ def test_a_tumbling_body_is_not_pushed_out_by_the_belt(device):
     np.testing.assert_allclose(found[0], found[1], atol=5e-3)
 
 
-@pytest.mark.parametrize("belt", [0.0, -4.0])
-@pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
-def test_a_can_that_slides_topples_just_beyond_its_limit(device, belt, dt):
-    """It tips over the foremost point of its base if the friction exceeds its radius over its half height."""
-    scenes = []
-    for share in (0.95, 1.04):
-        for direction in (0.0, 10.0):
-            scene, turn = wr.Scene(), rotate_about((0, 0, 1), direction)
-            way = np.array([np.cos(np.radians(direction)), np.sin(np.radians(direction)), 0.0])
-            ground = {"position": (0, 0, -0.1), "orientation": turn, "surface_velocity": (belt, 0, 0)}
-            scene.add_static(wr.Box((20, 1, 0.1)), **ground, friction=share / 3)
-            scene.add_body(wr.Cylinder(0.1, 0.3), position=(0, 0, 0.3), linear_velocity=(4.0 + belt) * way, name="can")
-            scenes.append(scene)
-    sim = wr.Simulator(scenes, settings=wr.Settings(dt=dt), device=device)
-    sim.step(round(1.5 / dt))
-    height = sim.get("position", bodies=["can"])[:, 0, 2]
-    np.testing.assert_allclose(height[:2], 0.3, atol=2e-3)
-    np.testing.assert_allclose(height[2:], 0.1, atol=2e-3)
-
-
 @pytest.mark.parametrize("held", [False, True])
 def test_what_lies_on_a_running_belt_stays_awake(device, held):
     """Also what a wall holds back: it is at rest, but the belt slips below it."""

@@ -3,7 +3,6 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import Search
-from warp_rigid.kernels.common.surfaces import running_velocity
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.tuning import CONTACT_DISTANCE, NEAR_REACH, PUSHED
@@ -127,21 +126,12 @@ def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions:
 
 
 @wp.func
-def load_between(a: int, b: int, frame: int, dt: float, bodies: Bodies, state: State, motions: Motions):
-    """Sum of the accelerations of two bodies, in the frame of one of them, and of that which friction resists [m/s^2].
+def load_between(a: int, b: int, frame: int, state: State, motions: Motions):
+    """Sum of the accelerations of two bodies, in the frame of one of them [m/s^2].
 
-    Bodies that stand on each other tip over that part of their contact to which it points: on a slope downwards, and
-    where the upper one slides, or the lower one is accelerated below it, in the direction of the upper one's velocity.
+    Bodies that stand on each other tip over that part of their contact to which it points.
     """
-    load = motions.acceleration[a] + motions.acceleration[b]
-    upper = wp.where(wp.dot(load, motions.center[a] - motions.center[b]) < 0.0, a, b)
-    if motions.role[a] != Role.FREE or motions.role[b] != Role.FREE:
-        upper = wp.where(motions.role[a] == Role.FREE, a, b)
-    lower = a + b - upper
-    x = motions.center[upper]
-    slip = velocity_at(upper, x, 0.0, state, motions) - velocity_at(lower, x, 0.0, state, motions)
-    slip -= running_velocity(lower, x, bodies, state)
-    return wp.quat_rotate_inv(state.orientation[frame], load + slip / dt)
+    return wp.quat_rotate_inv(state.orientation[frame], motions.acceleration[a] + motions.acceleration[b])
 
 
 @wp.func
@@ -192,7 +182,7 @@ def approach_from(
     dip = dip_of(approach.own_shape, approach.shape, shapes)
     approach.searched = wp.max(reach, CONTACT_DISTANCE * size + dip)
     approach.speculative = speculative_distance(a, b, size, dt, state, motions)
-    approach.load = load_between(a, b, approach.other, dt, bodies, state, motions)
+    approach.load = load_between(a, b, approach.other, state, motions)
     return approach
 
 

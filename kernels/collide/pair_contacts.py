@@ -299,7 +299,7 @@ def choose(
     corners = is_solid(shapes, bodies.shape[a]) or is_solid(shapes, bodies.shape[b])
     ranking = ranking_of(travel(a, b, dt, 0.0, state, motions), turn, size, corners)
     if may_have_many_corners(shapes, bodies.shape[a]) or may_have_many_corners(shapes, bodies.shape[b]):
-        ranking.load = load_between(a, b, b, dt, bodies, state, motions)
+        ranking.load = load_between(a, b, b, state, motions)
     offered = offer_near_samples(pair, ranking, size, lane, lanes, state, near, pairs)
     closing = offered & 1
     sync_warp(lanes)
