@@ -4,7 +4,8 @@ More than three contacts in a plane can carry a load in many ways. The sweeps fi
 warm starting keeps it. Friction is limited at each contact, so it depends on the distribution where a sliding body is
 braked (Farkas, Bartels, Unger and Wolf 2003). Before the sweeps, the normal impulses of a sliding pair are therefore
 replaced by those with the same sum and the same torque that have the smallest sum of squares. They are linear in the
-position of the contact, as on an elastic ground. Velocities do not change.
+position of the contact, as on an elastic ground. Friction changes with them, so that it stays at its limit; velocities
+do not change unless the body spins.
 """
 
 import warp as wp
@@ -135,5 +136,6 @@ def distribute_contact_load(begin: int, end: int, contacts: Contacts):
         row = read_contact(c, contacts.rows)
         if row.bias_velocity <= 0.0:
             impulse = impulse_of(c, IMPULSE, contacts)
-            normal = impulse[0] + share * (planned_impulse(row, plane) - impulse[0])
-            set_impulse(c, IMPULSE, wp.vec3(wp.max(normal, 0.0), impulse[1], impulse[2]), contacts)
+            normal = wp.max(impulse[0] + share * (planned_impulse(row, plane) - impulse[0]), 0.0)
+            factor = wp.where(impulse[0] > 0.0, quotient(normal, impulse[0]), 1.0)
+            set_impulse(c, IMPULSE, wp.vec3(normal, factor * impulse[1], factor * impulse[2]), contacts)

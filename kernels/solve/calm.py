@@ -5,7 +5,8 @@ load has no order, so shock propagation is of little use, and an error of the ve
 of earlier steps can correct the error. Islands whose bodies hardly move, and were placed where they are, are therefore
 swept until no row changes a velocity any more. At rest the impulses of the last step solve the problem, and no such
 sweep is needed. A structure that topples is swept further, too, but less often: its contacts turn in each step,
-and impulses that have not converged would add energy. Piles of bodies whose masses differ much are swept in the same
+and impulses that have not converged would add energy. If a structure in motion is still far from its solution, as heavy
+boxes that slide on a light tray are, it is swept as long as one at rest, without momentum. Piles of bodies whose masses differ much are swept in the same
 way: the sweeps before converge slowly where heavy bodies are on light ones.
 
 The sweeps of an arch of n stones reduce the error by a fraction that decreases with the fourth power of n. With the
@@ -19,18 +20,19 @@ from warp_rigid.kernels.common.solver_body import START, VELOCITY, inverse_mass_
 from warp_rigid.kernels.common.team import Team, any_of_team, raise_to, sync_team
 from warp_rigid.kernels.constraints.contact import extrapolate_row, store_start
 from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.graph.islands import most_in_motion
+from warp_rigid.kernels.graph.islands import is_pile, most_in_motion
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
 from warp_rigid.kernels.solve.rounds import momentum
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
+from warp_rigid.kernels.solve.shock import island_of
 from warp_rigid.kernels.tuning import CALM_CONVERGED, DIVERGED, MOST_CALM, NEGLIGIBLE
 
 wp.set_module_options({"enable_backward": False})
 
 
 UNLIMITED = wp.constant(2**30)
-"""Sweeps over a constraint of a body that is not dynamic, as far as this body is concerned."""
+"""Limit of the sweeps over a constraint that something else ends."""
 
 
 @wp.func
@@ -71,10 +73,13 @@ def any_other(team: Team, order: Order, graph: Graph, motions: Motions, contacts
 
 
 @wp.func
-def sweep_calm(turn: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+def sweep_calm(
+    turn: int, moving: int, far: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+):
     """Solve all constraints of calm islands once. Returns a lane's largest change [m/s].
 
-    Where an island reaches its limit, the change is its residual.
+    Where an island reaches its limit, the change is its residual. Structures whose limit is `moving` are swept beyond
+    it as long as a row was `far` from its solution in the last sweep.
     """
     change = float(0.0)
     for color in range(order.color_count[team.env]):
@@ -82,6 +87,8 @@ def sweep_calm(turn: int, team: Team, order: Order, graph: Graph, motions: Motio
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
             limit = limit_of(entry, motions, graph)
+            if far == 1 and limit == moving and turn >= moving and not is_pile(island_of(entry, motions, graph), graph):
+                limit = int(UNLIMITED)
             if turn <= limit:
                 change = wp.max(change, solve_constraint(entry, motions, contacts))
             if turn == limit:
@@ -170,10 +177,14 @@ def sweep_calm_islands(
     turn = int(0)
     halved = int(0)
     unsolved = int(1)
+    far = int(1)
     while unsolved == 1 and turn < most and 2 * (turn - halved) < most:
         turn += 1
-        change = sweep_calm(turn, team, order, graph, motions, contacts)
+        change = sweep_calm(turn, moving, far, team, order, graph, motions, contacts)
         unsolved = any_of_team(wp.where(change > still, 1, 0), team)
+        if far == 1 and turn >= moving:
+            far = any_of_team(wp.where(change > NEGLIGIBLE * gained, 1, 0), team)
+            raise_to(env, float(1 - far) * change, graph.residual)
         if any_of_team(wp.where(change > goal, 1, 0), team) == 0:
             goal *= 0.5
             halved = turn
