@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
+from warp_rigid.runs.file_scene import NoOutcome
+from warp_rigid.scenes import Demo
 
 NOBODY = ([], np.zeros(0, int), np.zeros(3, bool))
 
@@ -84,6 +86,38 @@ def test_a_floor_does_not_become_a_conveyor(sim):
     sim.set("linear_velocity", 0, bodies=["floor"])
     with pytest.raises(ValueError, match="^linear_velocity: must be 0 for floor, which is static"):
         sim.set("linear_velocity", (1, 0, 0), bodies=["floor"])
+
+
+def test_masses_of_all_bodies_are_those_of_the_dynamic_ones(sim):
+    """What `get` returns can be set again; a value is refused where no body can have it."""
+    sim.set("mass", 2.0)
+    mass = sim.get("mass")
+    assert (mass[:, 1:] == 2.0).all() and not mass[:, 0].any()
+    sim.set("mass", 3.0 * mass)
+    sim.set("mass", 0.0, bodies="floor")
+    np.testing.assert_array_equal(sim.get("mass"), 3.0 * mass)
+    scene = wr.Scene()
+    scene.add_kinematic(wr.Sphere(0.1), name="moon")
+    with pytest.raises(ValueError, match="^mass: must be 0 for moon, which is kinematic; only dynamic bodies"):
+        wr.Simulator(scene, device="cpu").set("mass", 1.0)
+
+
+def test_events_of_a_sweep_set_a_quantity_of_all_bodies_as_a_simulator_does():
+    """A sweep gives its events a view of some environments."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_static(wr.Plane(), name="floor")
+    scene.add_body(wr.Sphere(0.1), position=(0, 0, 1))
+
+    def push(sim):
+        sim.set("mass", 2.0)
+        sim.set("linear_velocity", (1, 0, 0))
+
+    def momentum(sim):
+        return (sim.get("mass") * sim.get("linear_velocity")[..., 0])[:, 1]
+
+    demo = Demo("push", "", lambda: scene, NoOutcome, 0.1, {}, events=lambda scene: [(0.0, push)])
+    row = wr.sweep(demo, {"friction": [0.5]}, metrics=[momentum], device="cpu").rows[0]
+    assert (row["status"], row["momentum"]) == ("ok", pytest.approx(2.0))
 
 
 @pytest.mark.parametrize(

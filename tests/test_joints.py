@@ -328,6 +328,37 @@ def test_bad_values_are_rejected_and_change_nothing(device):
         assert [sim.get(key).tobytes() for key in ("joint_lower", "joint_damping", "joint_broken")] == before
 
 
+LACKED = [
+    (wr.FixedJoint(), "joint_stiffness", 0, "joint_break_force, joint_break_torque, joint_broken"),
+    (wr.SphericalJoint(), "joint_armature", 0,
+     "joint_upper, joint_damping, joint_break_force, joint_break_torque, joint_broken"),
+    (wr.SphericalJoint(), "joint_max_force", np.inf,
+     "joint_upper, joint_damping, joint_break_force, joint_break_torque, joint_broken"),
+    (wr.DistanceJoint(0.0, 1.0), "joint_friction", 0,
+     "joint_lower, joint_upper, joint_break_force, joint_break_torque, joint_broken"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("joint", "name", "none", "known"), LACKED)
+def test_a_joint_refuses_a_value_that_its_kind_cannot_have(joint, name, none, known):
+    """A call for all joints changes those that can have the value, and is refused where none can."""
+    scene, _ = add(joint, name="first")
+    told = f"{name}: must be {none:g} for first: a {type(joint).__name__} can have {known}"
+    for more in ({"joints": ["first"]}, {}):
+        with pytest.raises(ValueError) as error:
+            simulator(scene, "cpu").set(name, 2.0, **more)
+        assert str(error.value) == told
+    scene.add_joint(wr.RevoluteJoint((1, 0, 0)), 2, anchor=(1, 0, 1), name="hinge")
+    sim = simulator(scene, "cpu")
+    sim.set(name, 2.0)
+    sim.set(name, none, joints="first")
+    assert sim.get(name)[0].tolist() == [none, 2.0]
+    result = wr.sweep(scene, {name: [3.0]}, duration=0.01, metrics=[], device="cpu")
+    assert result.rows[0]["status"] == "ok"
+    with pytest.raises(ValueError, match=f"^{name}: must be {none:g} for first"):
+        wr.sweep(scene, {f"{name}[first]": [3.0]}, duration=0.01, metrics=[], device="cpu")
+
+
 def test_a_saved_simulation_continues_bit_for_bit(device, tmp_path):
     scene = tumbling()
     lever = scene.add_body(wr.Box((0.2, 0.05, 0.05)), position=(0, 3, 0), angular_velocity=(0, 0, 1))

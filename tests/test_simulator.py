@@ -300,6 +300,12 @@ def test_apply_impulse(device):
     with pytest.raises(ValueError, match=r"^body: plane_0 is static, and an impulse cannot move it$"):
         sim.apply_impulse((1e6, 0, 0), (0, 0, 0), wall)
     assert (sim.get("linear_velocity")[:, wall] == 0).all()
+    before = sim.get("angular_velocity")
+    sim.apply_impulse((0, 0, 4.0), body=body, envs=[1])  # at the centre of mass
+    assert sim.get("linear_velocity")[1, body].tolist() == [0, 0, 2]
+    np.testing.assert_array_equal(sim.get("angular_velocity"), before)
+    with pytest.raises(ValueError, match="^body: must be a whole number from 0 to 1, got None$"):
+        sim.apply_impulse((0, 0, 1))
 
 
 def test_contact_records(device):

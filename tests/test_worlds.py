@@ -334,8 +334,8 @@ def test_a_reset_of_some_environments(device):
             "name: dt is constant and the same in all environments; it is Settings(dt=...) of the simulator",
         ),
         (
-            lambda: two_scenes().set("mass", 2.0),
-            "mass: ground is not dynamic and has no mass; choose bodies, as in bodies=[...]",
+            lambda: two_scenes().set("mass", 2.0, bodies=["box_0", "ground"]),
+            "mass: must be 0 for ground, which is static; only dynamic bodies can have one",
         ),
         (lambda: two_scenes().set("gravity", -9.81), "gravity: must be vectors of 3 numbers, got -9.81"),
     ],

@@ -1,5 +1,6 @@
 """Reading and writing the quantities of joints by their names."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from warp_rigid.engine.layout import concatenated, spread_rows
 from warp_rigid.engine.selection import existing
 from warp_rigid.engine.world import World
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Motion
+from warp_rigid.scene.joints.joint import NUMBERS_OF_KIND, JointEntry
 
 NUMBERS = {f"joint_{number.name.lower()}": number for number in JointNumber}
 WRITABLE = (*NUMBERS, "joint_broken")
@@ -20,6 +22,9 @@ READABLE = (*DERIVED, *WRITABLE)
 INFINITE = ("joint_lower", "joint_upper", "joint_max_force", "joint_break_force", "joint_break_torque")
 NEGATIVE = ("joint_lower", "joint_upper", "joint_target_position", "joint_target_velocity")
 """Names whose values may be infinite, and negative."""
+
+NONE = {"joint_lower": -np.inf} | dict.fromkeys(INFINITE[1:], np.inf)
+"""Values without an effect; others are 0."""
 
 SAME_ORIENTATION = 1.0 - 1e-6
 """Two orientations whose quaternions have a larger scalar product differ by rounding errors."""
@@ -68,24 +73,67 @@ def check_range(name: str, values: np.ndarray) -> None:
     refuse_others(name, values, allowed, kind if name in INFINITE else f"finite {kind}")
 
 
-def write(world: World, name: str, value: Any, rows: np.ndarray) -> None:
-    """Change a quantity of joints by their rows (n, m); see Simulator.set."""
+def can_have(entry: JointEntry, name: str) -> bool:
+    """Whether a joint of its kind can have a quantity."""
+    return name not in NUMBERS or NUMBERS[name] in NUMBERS_OF_KIND[entry.joint.coordinate]
+
+
+def refuse_lacked(name: str, entries: Sequence[JointEntry], values: Any) -> None:
+    """Refuse values that joints cannot have.
+
+    Args:
+        name: the quantity.
+        entries: the joints.
+        values: one, or one for each joint; the value without an effect is allowed.
+
+    Raises:
+        ValueError: one of the joints cannot have its value.
+    """
+    none = NONE.get(name, 0.0)
+    for entry, value in zip(entries, np.broadcast_to(values, len(entries)), strict=True):
+        if value != none and not can_have(entry, name):
+            known = ", ".join([*(own for own in NUMBERS if can_have(entry, own)), "joint_broken"])
+            kind = type(entry.joint).__name__
+            raise ValueError(f"{name}: must be {none:g} for {entry.name}: a {kind} can have {known}")
+
+
+def write(world: World, name: str, value: Any, rows: np.ndarray, of_all: bool) -> None:
+    """Change a quantity of joints by their rows (n, m); see Simulator.set.
+
+    Args:
+        world: that of the simulator.
+        name: the quantity.
+        value: the value.
+        rows: of the joints.
+        of_all: whether no joints were chosen; then joints that cannot have the quantity keep theirs.
+    """
     if not world.layout.sizes[NAME]:
         raise ValueError(f"{name}: the scene has no joints")
     present = existing(rows)
-    values = check(name, value, rows.shape)[present]
+    values, rows = check(name, value, rows.shape)[present], rows[present]
     check_range(name, values)
-    column = "broken" if name == "joint_broken" else "numbers"
-    host = _array(world, column)
-    if column == "broken":
-        host[rows[present]] = values
+    if name == "joint_broken":
+        host = _array(world, "broken")
+        host[rows] = values
         for shard in world.shards:
             shard.pools.forget_graph()
-    else:
-        host[rows[present], NUMBERS[name]] = values
-        if (host[:, JointNumber.LOWER] > host[:, JointNumber.UPPER]).any():
-            raise ValueError(f"{name}: the lower limit must be at most the upper one")
-    getattr(world.model.joints, column).assign(host)
+        world.model.joints.broken.assign(host)
+        return
+    entries, source = _entries(world)
+    able = np.array([can_have(entry, name) for entry in entries])[source[rows]]
+    if not (of_all and able.any()):
+        refuse_lacked(name, [entries[index] for index in source[rows]], values)
+    host = _array(world, "numbers")
+    host[rows[able], NUMBERS[name]] = values[able]
+    if (host[:, JointNumber.LOWER] > host[:, JointNumber.UPPER]).any():
+        raise ValueError(f"{name}: the lower limit must be at most the upper one")
+    world.model.joints.numbers.assign(host)
+
+
+def _entries(world: World) -> tuple[list[JointEntry], np.ndarray]:
+    """The joints of the distinct scenes, and for each joint of all environments its index among them."""
+    entries, lengths = concatenated(lambda scene: scene.joints, world.layout.scenes)
+    return entries, world.layout.copies(lengths)
 
 
 def bodies_of(world: World, rows: np.ndarray) -> np.ndarray:
@@ -123,8 +171,7 @@ class _Motion:
     def __init__(self, world: World) -> None:
         """Compute the frames and velocities of both sides."""
         self._world = world
-        entries, lengths = concatenated(lambda scene: scene.joints, world.layout.scenes)
-        source = world.layout.copies(lengths)
+        entries, source = _entries(world)
         self._coordinate = np.array([int(entry.joint.coordinate) for entry in entries], int)[source]
         fixed = np.array([entry.body_b is None for entry in entries], bool)[source]
         self._a = self._side("body_a", [entry.frame_a for entry in entries], source, np.zeros_like(fixed))

@@ -44,10 +44,11 @@ REMAINDER_OF = {"orientation": "orientation_remainder", "angular_velocity": "ang
 """Where the device keeps what rounding left over of a quantity."""
 
 LACKED = {
-    **dict.fromkeys(VELOCITIES, "a kinematic body moves"),
-    **dict.fromkeys(SURFACE_VELOCITIES, "the surface of a static or kinematic body runs"),
+    **dict.fromkeys(VELOCITIES, (Motion.STATIC,)),
+    **dict.fromkeys(SURFACE_VELOCITIES, (Motion.DYNAMIC,)),
+    "mass": (Motion.STATIC, Motion.KINEMATIC),
 }
-"""Quantities that are always 0 for bodies of a kind, and for which bodies they are not."""
+"""Quantities that are always 0 for bodies of some kinds, and these kinds."""
 
 WRITABLE = (*STATE_NAMES, *SURFACE_VELOCITIES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
 """Names of the quantities of bodies and environments that can be set."""
@@ -123,8 +124,20 @@ def read(world: World, name: str) -> np.ndarray:
     return _DERIVE[name](world)
 
 
-def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: Any = None) -> None:
-    """Change a quantity; see Simulator.set."""
+def write(
+    world: World, name: str, value: Any, envs: Any, bodies: Any = None, joints: Any = None, of_all: bool = False
+) -> None:
+    """Change a quantity; see Simulator.set.
+
+    Args:
+        world: that of the simulator.
+        name: the quantity.
+        value: the value.
+        envs: as for Simulator.set.
+        bodies: as for Simulator.set.
+        joints: as for Simulator.set.
+        of_all: whether the bodies and joints are all that the environments have, as where none are given.
+    """
     if name not in SETTABLE:
         _refuse_dt(name)
         known = suggestion(name, SETTABLE, "help(Simulator.set)")
@@ -133,7 +146,7 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
     chosen = env_indices(world.num_envs, envs)
     if name in joint_quantities.WRITABLE:
         rows = rows_of(world.layout, chosen, joints, "joints")
-        joint_quantities.write(world, name, value, rows)
+        joint_quantities.write(world, name, value, rows, of_all or joints is None)
         wake(world, chosen, joint_quantities.bodies_of(world, rows))
         return
     if name in PER_ENVIRONMENT:
@@ -151,10 +164,9 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         _write_field(world, name, value, chosen)
     else:
         touched = rows_of(world.layout, chosen, bodies)
-        if bodies is not None:
-            _refuse_of_chosen(world, name, value, touched)
+        _refuse_lacked(world, name, value, touched, of_all or bodies is None)
         if name == "mass":
-            _write_mass(world, value, touched)
+            _write_mass(world, value, np.where(_lacks(world, name, touched), LACKING, touched))
         elif name == "active":
             assign_rows(world.state.active, flags("active", value, touched.shape), touched)
         else:
@@ -172,25 +184,30 @@ def _refuse_dt(name: str) -> None:
         )
 
 
-def _refuse_of_chosen(world: World, name: str, value: Any, rows: np.ndarray) -> None:
-    """Refuse what bodies that were chosen cannot have, although others can."""
-    if name in OF_PATH:
+def _refuse_lacked(world: World, name: str, value: Any, rows: np.ndarray, of_all: bool) -> None:
+    """Refuse what bodies cannot have; if none were chosen, only where none can have it."""
+    if name in OF_PATH and not of_all:
         layout = world.layout
         for index in np.unique(layout.source[rows[existing(rows)]]).tolist() if layout.sizes["paths"] else ():
             if layout.scene_bodies[index].path is not None:
                 raise ValueError(f"{name}: {layout.scene_bodies[index].name} follows a path, which prescribes it")
     if name in LACKED:
-        moving = _broadcast(name, value, (*rows.shape, VECTOR_LENGTHS[name])).any(axis=-1)
-        found = rows[moving & _lacks(world, name, rows)]
+        lacks = _lacks(world, name, rows)
+        if of_all and (existing(rows) & ~lacks).any():
+            return
+        shape = (*rows.shape, 3) if name in VECTOR_LENGTHS else rows.shape
+        values = _broadcast(name, value, shape, existing(rows))
+        found = rows[values.any(axis=tuple(range(rows.ndim, values.ndim))) & lacks]
         if len(found):
             body = world.layout.scene_bodies[world.layout.source[found[0]]]
-            raise ValueError(f"{name}: must be 0 for {body.name}, which is {body.motion.name.lower()}; {LACKED[name]}")
+            able = " and ".join(motion.name.lower() for motion in Motion if motion not in LACKED[name])
+            kind = body.motion.name.lower()
+            raise ValueError(f"{name}: must be 0 for {body.name}, which is {kind}; only {able} bodies can have one")
 
 
 def _lacks(world: World, name: str, rows: np.ndarray) -> np.ndarray:
     """Mask of the rows that are bodies for which a quantity is always 0."""
-    motion = Motion.DYNAMIC if name in SURFACE_VELOCITIES else Motion.STATIC
-    return (world.model.bodies.motion.numpy()[np.maximum(rows, 0)] == motion) & existing(rows)
+    return np.isin(world.model.bodies.motion.numpy()[np.maximum(rows, 0)], LACKED[name]) & existing(rows)
 
 
 def wake(world: World, chosen: np.ndarray, rows: np.ndarray) -> None:
@@ -329,9 +346,6 @@ def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:
     present = existing(rows)
     new, targets = _broadcast("mass", value, rows.shape, present)[present], rows[present]
     source, layout = world.layout.source[targets], world.layout
-    for target in targets[[layout.scene_bodies[index].motion != Motion.DYNAMIC for index in source.tolist()]]:
-        name = layout.scene_bodies[layout.source[target]].name
-        raise ValueError(f"mass: {name} is not dynamic and has no mass; choose bodies, as in bodies=[...]")
     for index in np.unique(source).tolist():
         for mass in (new[source == index].min(), new[source == index].max()):
             check_mass(layout.scene_bodies[index].shape, float(mass))
@@ -358,8 +372,8 @@ def _check_mass_ratios(world: World, new: np.ndarray, targets: np.ndarray) -> No
         check_mass_ratio(worst[~np.isnan(worst)].tolist())
 
 
-def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs: Any) -> None:
-    """Change velocities by an impulse at a world point; see Simulator.apply_impulse."""
+def apply_impulse(world: World, impulse: Any, point: Any, body: int | str | None, envs: Any) -> None:
+    """Change velocities by an impulse; see Simulator.apply_impulse."""
     layout = world.layout
     chosen = env_indices(layout.num_envs, envs)
     if not isinstance(body, str):
@@ -368,19 +382,18 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs:
         return
     rows = rows_of(layout, chosen, body, name="body")[:, 0]
     push = _broadcast("impulse", impulse, (len(chosen), 3))
-    at = _broadcast("point", point, (len(chosen), 3))
+    at = None if point is None else _broadcast("point", point, (len(chosen), 3))
     for row in rows[world.model.bodies.motion.numpy()[rows] != Motion.DYNAMIC][:1].tolist():
         found = layout.scene_bodies[layout.source[row]]
         raise ValueError(f"body: {found.name} is {found.motion.name.lower()}, and an impulse cannot move it")
     index = rows - layout.first_body[chosen]
-    arm = at - read(world, "center_of_mass")[chosen, index]
-    inverse = np.linalg.inv(read(world, "inertia")[chosen, index].astype(np.float64))
-    spin = np.einsum("nij,nj->ni", inverse, np.cross(arm, push))
     mass = world.model.bodies.mass.numpy()[rows]
-    velocities = {
-        "linear_velocity": read(world, "linear_velocity")[chosen, index] + push / mass[:, None],
-        "angular_velocity": read(world, "angular_velocity")[chosen, index] + spin,
-    }
+    velocities = {"linear_velocity": read(world, "linear_velocity")[chosen, index] + push / mass[:, None]}
+    if at is not None:
+        arm = at - read(world, "center_of_mass")[chosen, index]
+        inverse = np.linalg.inv(read(world, "inertia")[chosen, index].astype(np.float64))
+        spin = np.einsum("nij,nj->ni", inverse, np.cross(arm, push))
+        velocities["angular_velocity"] = read(world, "angular_velocity")[chosen, index] + spin
     # Both are checked before either is written.
     for name, values in velocities.items():
         _broadcast(f"impulse: {name}", values, values.shape)

@@ -235,13 +235,15 @@ class Simulator:
             value: number, array, mode name, or list of mode names.
             envs: different indices of environments, a slice, or a mask (envs,) of booleans; None for all.
             bodies: indices, a slice or names of the bodies, which all these environments must have; None for all
-                bodies. With None, values are ignored for bodies that an environment lacks, for velocities of static
-                bodies, and for surface velocities of dynamic bodies.
-            joints: the same of joints, for quantities of joints.
+                bodies. With None, values are ignored for bodies that an environment lacks or that cannot have them:
+                static bodies have no velocity, dynamic ones no velocity of the surface, and only dynamic ones a mass.
+            joints: the same of joints, for quantities of joints. `joint_broken`, `joint_break_force` and
+                `joint_break_torque` are of all joints, all others of revolute and prismatic ones; a spherical joint has
+                `joint_upper` and `joint_damping`, too, a distance joint `joint_lower` and `joint_upper`.
 
         Raises:
             ValueError: unknown name, wrong shape, a value out of range, a body or joint that an environment lacks, a
-                velocity for a static body or for the surface of a dynamic one, or a pose or velocity for a body that
+                value that a chosen body or joint, or all of them, cannot have, or a pose or velocity for a body that
                 follows a path.
         """
         quantities.write(self._world, name, value, envs, bodies, joints)
@@ -329,13 +331,13 @@ class Simulator:
         return checkpoint.load(path, device, Simulator)
 
     @guarded
-    def apply_impulse(self, impulse: Any, point: Any, body: int | str, envs: Any = None) -> None:
+    def apply_impulse(self, impulse: Any, point: Any = None, body: int | str | None = None, envs: Any = None) -> None:
         """Apply an impulse to a body immediately; the body and its island wake up.
 
         Args:
             impulse: (3,) or (envs, 3) impulse [N s].
-            point: (3,) or (envs, 3) point in the world at which it acts [m].
-            body: index or name of the body.
+            point: (3,) or (envs, 3) point in the world at which it acts [m]; None for the centre of mass.
+            body: index or name of the body, required.
             envs: indices of the environments, or a mask, as for `set`; None for all.
 
         Raises:

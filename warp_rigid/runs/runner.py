@@ -14,7 +14,7 @@ import numpy as np
 
 from warp_rigid import scenes
 from warp_rigid.checks import listed, shown, suggestion
-from warp_rigid.engine import field_values
+from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.health_checks import WARNING_NAMES
 from warp_rigid.engine.quantities import VECTOR_LENGTHS, owner_of
 from warp_rigid.engine.settings import Settings
@@ -332,8 +332,8 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
         sim: the simulator.
         name: a name accepted by Simulator.set. A property of bodies or joints may select them by name, pattern or
             index: "mass[box_3]", "mass[box_*]", "mass[4]", "joint_friction[elbow]". Without a selection, a coefficient
-            applies to all bodies, a property of joints to all joints, a velocity of surfaces to the bodies whose
-            surface runs in the scene, any other property to the dynamic bodies.
+            applies to all bodies, a property of joints to those that can have it, a velocity of surfaces to the bodies
+            whose surface runs in the scene, any other property to the dynamic bodies.
         values: one value per environment, shared by what is selected.
 
     Raises:
@@ -379,7 +379,9 @@ def _is_meant(entry: Any, plain: str) -> bool:
     """Whether a property without a selection applies to a body or joint."""
     if plain in SURFACE_VELOCITIES:
         return any(any(getattr(entry, name)) for name in SURFACE_VELOCITIES)
-    return owner_of(plain) == "joints" or plain in COEFFICIENTS or entry.motion == Motion.DYNAMIC
+    if owner_of(plain) == "joints":
+        return joint_quantities.can_have(entry, plain)
+    return plain in COEFFICIENTS or entry.motion == Motion.DYNAMIC
 
 
 def step_frame(sim: Simulator, steps: int, events: list) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.engine.quantities import check_owner, owner_of
+from warp_rigid.engine.quantities import check_owner, owner_of, write
 from warp_rigid.engine.selection import Indices, Members, env_indices, indices_in
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
@@ -71,11 +71,13 @@ class EnvironmentView:
 
     def set(self, name: str, value: Any, envs: Indices = None, bodies: Members = None, joints: Members = None) -> None:
         """See Simulator.set."""
-        if bodies is None and owner_of(name) == "bodies":
+        of_all = bodies is None and joints is None
+        if of_all and owner_of(name) == "bodies":
             bodies = np.arange(self.num_bodies)
-        if joints is None and owner_of(name) == "joints":
+        if of_all and owner_of(name) == "joints":
             joints = np.arange(len(self.scene.joints))
-        self._sim.set(name, value, self._chosen(envs), bodies, joints)
+        with self._sim.in_use():
+            write(self._sim.internals, name, value, self._chosen(envs), bodies, joints, of_all)
         self._reads.clear()
 
     def spawn(self, pool: str, position: Any, envs: Any = None, **state: Any) -> np.ndarray:
@@ -88,7 +90,7 @@ class EnvironmentView:
         self._sim.despawn(bodies, self._chosen(envs))
         self._reads.clear()
 
-    def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
+    def apply_impulse(self, impulse: Any, point: Any = None, body: int | str | None = None, envs: Any = None) -> None:
         """See Simulator.apply_impulse."""
         self._sim.apply_impulse(impulse, point, body, self._chosen(envs))
         self._reads.clear()

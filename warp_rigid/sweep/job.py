@@ -253,6 +253,7 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
     chosen = [] if plain == "gravity" else selected(scene, name)
     if plain in joint_quantities.WRITABLE:
         joint_quantities.check_range(plain, joint_quantities.check(plain, value, ()))
+        joint_quantities.refuse_lacked(plain, [scene.joints[index] for index in chosen], value)
     elif plain in COEFFICIENTS:
         number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
@@ -266,9 +267,8 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
     else:
         check_vectors(plain, value)
         vector = finite_vector(name, value if np.ndim(value) else (value,) * 3)
-        lacking = Motion.DYNAMIC if plain in SURFACE_VELOCITIES else Motion.STATIC
         for body in [scene.bodies[index] for index in chosen] if any(vector) and plain in LACKED else ():
-            if body.motion == lacking:
+            if body.motion in LACKED[plain]:
                 raise ValueError(f"{name}: must be 0 for {body.name}, which is {body.motion.name.lower()}")
 
 

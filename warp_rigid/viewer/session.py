@@ -14,7 +14,6 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs import runner
-from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.scenes import Verdict
 from warp_rigid.viewer.history import QUANTITIES, Moment
@@ -271,7 +270,6 @@ class Session:
         """Continue in a new simulator of the scene, with all that was set of what the last one had."""
         old = self.sim
         new = Simulator(self.plan.scene, old.num_envs, settings, old.device, old.seed)
-        dynamic = [i for i, body in enumerate(old.scene.bodies[: old.num_bodies]) if body.motion == Motion.DYNAMIC]
         names = [*WRITABLE, *(joint_quantities.WRITABLE if old.scene.joints else ())]
         names += [f"{PREFIX}{name}" for field in old.scene.force_fields for name in field.parameters()]
         for name in names:
@@ -280,11 +278,8 @@ class Session:
                 if not np.array_equal(value, now):
                     new.set(name, list(value) if name in self._settings else value)
             elif not np.array_equal(value, now[:, : old.num_bodies]):
-                if name == "mass":
-                    new.set(name, value[:, dynamic], bodies=dynamic)
-                else:  # of all bodies: those on paths must not be chosen
-                    now[:, : old.num_bodies] = value
-                    new.set(name, now)
+                now[:, : old.num_bodies] = value  # of all bodies: those on paths must not be chosen
+                new.set(name, now)
         turned = old.internals.model.joints.position.numpy()  # full turns of hinges, which their bodies do not tell
         new.internals.model.joints.position.assign(turned)
         _continue_at(new, old.time)

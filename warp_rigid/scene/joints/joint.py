@@ -14,7 +14,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.checks import LARGEST, finite_vector, number_in, numbers_of, shown
-from warp_rigid.kernels.enums import Coordinate
+from warp_rigid.kernels.enums import Coordinate, JointNumber
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -24,6 +24,16 @@ ANGULAR = 0b111000
 AXIAL_SLIDE = 0b000001
 AXIAL_TURN = 0b001000
 """Relative motions, as bits: translations along x, y and z of the second body's frame, then rotations about them."""
+
+_BREAKING = (JointNumber.BREAK_FORCE, JointNumber.BREAK_TORQUE)
+NUMBERS_OF_KIND = {
+    Coordinate.NONE: _BREAKING,
+    Coordinate.ANGLE: tuple(JointNumber),
+    Coordinate.SLIDE: tuple(JointNumber),
+    Coordinate.CONE: (JointNumber.UPPER, JointNumber.DAMPING, *_BREAKING),
+    Coordinate.LENGTH: (JointNumber.LOWER, JointNumber.UPPER, *_BREAKING),
+}
+"""The parameters that a joint can have, by its coordinate."""
 
 JOINTS: dict[str, type["Joint"]] = {}
 """All kinds of joints by class name."""
