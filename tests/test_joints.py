@@ -355,7 +355,7 @@ def test_a_joint_refuses_a_value_that_its_kind_cannot_have(joint, name, none, kn
     assert sim.get(name)[0].tolist() == [none, 2.0]
     result = wr.sweep(scene, {name: [3.0]}, duration=0.01, metrics=[], device="cpu")
     assert result.rows[0]["status"] == "ok"
-    with pytest.raises(ValueError, match=f"^{name}: must be {none:g} for first"):
+    with pytest.raises(ValueError, match=f"{name}: must be {none:g} for first"):
         wr.sweep(scene, {f"{name}[first]": [3.0]}, duration=0.01, metrics=[], device="cpu")
 
 

@@ -282,11 +282,13 @@ def test_a_value_that_is_refused_late_fails_its_own_runs_only(monkeypatch):
     assert result.rows[3]["reason"] == "ValueError: friction: must not be 4"
 
 
-def test_only_rows_are_replayed():
-    result = quick({"height": [1.0, 2.0]})
-    assert result.replay(result.rows[1]).get("position")[0, 1, 2] == 2.0
-    with pytest.raises(ValueError, match=r"^row: must be one of the rows, such as result.rows\[0\], got 1$"):
-        result.replay(1)
+def test_only_rows_and_numbers_of_runs_are_replayed():
+    result = quick({"height": [1.0, 2.0, 3.0]}, shard=(2, 2))
+    for row in (result.rows[0], 1, np.int64(1)):
+        assert result.replay(row).get("position")[0, 1, 2] == 2.0
+    for row in (0, 1.0, True, "1"):
+        with pytest.raises(ValueError, match=f"^row: must be one of the rows or the number of a run, 1, got {row!r}$"):
+            result.replay(row)
 
 
 def test_a_velocity_of_zero_stands_beside_vectors():
@@ -366,6 +368,8 @@ def test_the_id_of_a_scene_in_a_file_depends_on_its_content(tmp_path, suffix):
         ({"friction": [-1.0]}, {}, "friction: must be a finite number >= 0"),
         ({"restitution": [2.0]}, {}, "restitution: must be a number from 0 to 1"),
         ({"mass[ball]": [0.0]}, {}, r"mass\[ball\]: must be a number from 1e-17 to 1e\+15, got 0"),
+        ({"mass[ball]": [1.0, 0.0], "speed": [0.5]}, {}, r"^run 1 \(mass\[ball\]=0.0, speed=0.5\): mass"),
+        ({"speed": [0.5, np.inf]}, {}, r"^run 1 \(speed=inf\): linear_velocity: must be"),
         ({"mass[ground]": [1.0]}, {}, r"mass\[ground\]: ground is not dynamic and has no mass"),
         ({"mass[ball]": [1.0, 1e8], "count": [2]}, {}, "the heaviest dynamic body must have at most"),
         ({"mass": [1.0, 1e8], "count": [2]}, {}, "the heaviest dynamic body must have at most"),

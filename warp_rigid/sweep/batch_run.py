@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import shown
+from warp_rigid.checks import listed, shown
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.errors import CapacityError
@@ -104,10 +104,15 @@ def _launch_order(inputs: list[RunInputs], bodies: list[int]) -> list[int]:
     return sorted(range(len(inputs)), key=lambda index: (-bodies[index], kind[index]))
 
 
-def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = None) -> Simulator:
+def replay(result: Any, row: Mapping[str, Any] | int, scene: Any = None, device: Any = None) -> Simulator:
     """Build a simulator of one row in its initial state; see SweepResult.replay."""
     if not isinstance(row, Mapping):
-        raise ValueError(f"row: must be one of the rows, such as result.rows[0], got {shown(row)}")
+        numbers = [one["run"] for one in result.rows]
+        if isinstance(row, bool) or not isinstance(row, int | np.integer) or row not in numbers:
+            raise ValueError(
+                f"row: must be one of the rows or the number of a run, {listed(numbers)}, got {shown(row)}"
+            )
+        row = result.rows[numbers.index(row)]
     source = result.source if scene is None else scene
     if source is None:
         named = shown(result.about.get("source"))

@@ -2,7 +2,8 @@
 
 import inspect
 import logging
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -183,27 +184,42 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
     steps: dict[Any, float] = {}
     groups: dict[float, list[SizedRun]] = {}
     for run, inputs in zip(runs, run_inputs(job, runs), strict=True):
-        key = inputs.scene_key
-        if key not in number_of_scene:
-            scene = build_scene(job, inputs)
-            check_precision(scene)
-            number_of_scene[key] = numbers.setdefault(structure(scene), len(numbers))
-            if len(numbers) > len(footprints):
-                footprints.append(footprint_of(scene, shape_bytes))
-                lacking = [observer for observer in lacking if not observer.is_in(scene)]
-        number = number_of_scene[key]
-        settings = tuple(inputs.settings.items())
-        if settings not in steps:
-            steps[settings] = Settings(**inputs.settings).dt
-        for name, value in inputs.properties.items():
-            if (number, name, value) not in checked:
-                _check_property(build_scene(job, inputs), name, value)
-                checked.add((number, name, value))
-        _check_masses(build_scene(job, inputs), inputs.properties)
+        key, settings = inputs.scene_key, tuple(inputs.settings.items())
+        with _errors_of_run(run):
+            if key not in number_of_scene:
+                scene = build_scene(job, inputs)
+                check_precision(scene)
+                number_of_scene[key] = numbers.setdefault(structure(scene), len(numbers))
+                if len(numbers) > len(footprints):
+                    footprints.append(footprint_of(scene, shape_bytes))
+                    lacking = [observer for observer in lacking if not observer.is_in(scene)]
+            number = number_of_scene[key]
+            if settings not in steps:
+                steps[settings] = Settings(**inputs.settings).dt
+            for name, value in inputs.properties.items():
+                if (number, name, value) not in checked:
+                    _check_property(build_scene(job, inputs), name, value)
+                    checked.add((number, name, value))
+            _check_masses(build_scene(job, inputs), inputs.properties)
         groups.setdefault(steps[settings], []).append(SizedRun(run, footprints[number]))
     if runs and lacking:
         raise ValueError(f"{lacking[0].name}: no scene has the {lacking[0].owner} {', '.join(lacking[0].members)}")
     return list(groups.values())
+
+
+@contextmanager
+def _errors_of_run(run: Run) -> Iterator[None]:
+    """Let errors name the run and its parameters; those of the user's code that are no ValueError keep their type."""
+    try:
+        yield
+    except Exception as error:
+        named = f"run {run.index}"
+        if run.parameters:
+            named += f" ({', '.join(f'{name}={shown(value)}' for name, value in run.parameters.items())})"
+        if isinstance(error, ValueError):
+            raise ValueError(f"{named}: {error}") from error
+        error.add_note(f"in {named} of the sweep")
+        raise
 
 
 def build_scene(job: Job, inputs: RunInputs) -> Scene:

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -160,14 +160,14 @@ class SweepResult:
         check_ending("path", path)
         write(self, path)
 
-    def replay(self, row: dict[str, Any], scene: Any = None, device: Any = None) -> Any:
+    def replay(self, row: Mapping[str, Any] | int, scene: Any = None, device: Any = None) -> Any:
         """Build a Simulator of one row in its initial state, to simulate that run again.
 
         Events of a built-in scene, such as a thrown box, are not included. A table read from a file is data: a scene
         file that it names is neither opened nor run.
 
         Args:
-            row: one of `rows`.
+            row: one of `rows`, or the number of its run in the column "run".
             scene: the scene as passed to `sweep`; required for a table read from a file, unless the scene is built in.
             device: as in Simulator; results are bitwise equal only on the same kind of device.
 
