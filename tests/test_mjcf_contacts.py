@@ -110,7 +110,7 @@ def test_a_body_falls_through_one_that_its_masks_exclude(imported):
 
 
 def test_a_converter_without_mujoco_is_told(imported, monkeypatch):
-    monkeypatch.setattr("warp_rigid.usd.robots.LIST_MASKS", "import no_such_module")
+    monkeypatch.setattr("warp_rigid.usd.robots.MUJOCO_READER", "import no_such_module")
     scene = imported(box("a", 0, 1, 'contype="2"') + box("b", 1, 1))
     (told,) = [finding.reason for finding in scene.import_report.findings if "contype" in finding.reason]
     assert "has no MuJoCo: all bodies touch each other" in told and scene.filtered_pairs == set()

@@ -286,6 +286,20 @@ def test_what_is_not_simulated_is_named(robots, tmp_path, name, expected):
     assert set(reasons) >= {f"{kind}: {names}" for kind, names in expected.items()}
 
 
+def test_free_joints_with_damping_are_named(robots, tmp_path):
+    """Their values can be those of a default class; a <freejoint> has none."""
+    joints = ('<joint name="root" type="free"/>', "<freejoint/>", '<joint type="free" class="loose"/>')
+    bodies = "".join(
+        f'<body name="b{i}" pos="{i} 0 0">{joint}<geom size="0.1"/></body>' for i, joint in enumerate(joints)
+    )
+    classes = '<default><joint damping="0.5"/><default class="loose"><joint damping="0"/></default></default>'
+    (tmp_path / "robot.xml").write_text(f"<mujoco>{classes}<worldbody>{bodies}</worldbody></mujoco>")
+    told = "robot.xml: not simulated: damping, friction and armature of free joints: root$"
+    with pytest.warns(UserWarning, match=told):
+        scene = wr.import_robot(tmp_path / "robot.xml")
+    assert len(scene.bodies) == 3
+
+
 def test_links_of_mass_0_are_named(robots, tmp_path):
     """They get a mass from their collider; a link without collider keeps that of the file, and is not named."""
     link = "<link name='{}'><inertial><mass value='{}'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/>"

@@ -300,6 +300,15 @@ def test_an_animated_kinematic_body_follows_its_animation(tmp_path):
     np.testing.assert_allclose(orientation[[120, 150]], [(0, 0, 0.5**0.5, 0.5**0.5)] * 2, atol=1e-5)
 
 
+def test_a_body_that_should_start_asleep_is_reported(stage):
+    asleep = "bool physics:startsAsleep = 1"
+    text = rigid("Box", "Cube", asleep) + rigid("Gate", "Cube", f"{asleep}; bool physics:kinematicEnabled = 1")
+    changed = stage(text + rigid("Ball", "Sphere"), strict=False).import_report.changed
+    assert [str(finding) for finding in changed] == [
+        "/World/Box: changed: it starts awake: physics:startsAsleep is ignored"
+    ]
+
+
 def test_animation_of_a_static_body_is_reported(stage):
     text = rigid("Wall", "Cube", MOVING.format(flag="bool physics:rigidBodyEnabled = 0").replace("\n", ";"))
     scene = stage(text, strict=False)

@@ -187,6 +187,8 @@ class Reader:
             if description.rigidBodyEnabled:
                 motion = Motion.KINEMATIC if description.kinematicBody else Motion.DYNAMIC
                 bodies[path] = _Body(file.stage.GetPrimAtPath(path), motion)
+                if description.startsAsleep and motion == Motion.DYNAMIC:
+                    file.change(bodies[path].prim, "it starts awake: physics:startsAsleep is ignored")
         for path, description in file.described(*COLLIDERS).items():
             if not description.collisionEnabled:
                 continue

@@ -42,9 +42,11 @@ PACKAGE = re.compile(r"""package://([^/"'\s]+)/""")
 """A package in the address of a mesh, as in package://my_robot/meshes/arm.stl."""
 MASKED = re.compile(r"\b(contype|conaffinity)\b|<(include|model|attach)\b")
 """What an MJCF file contains that has masks, or refers to another file that may have some."""
-LIST_MASKS = """
+FREE = re.compile(r"""\btype\s*=\s*["']free\b|<(include|model|attach)\b""")
+"""The same for free joints that can have damping; those written as <freejoint> cannot."""
+MUJOCO_READER = """
 import json, sys
-import mujoco
+import mujoco, numpy
 
 def masks(body):
     for geom in body.geoms:
@@ -53,10 +55,19 @@ def masks(body):
     for child in body.bodies:
         yield from masks(child)
 
-print(json.dumps(list(masks(mujoco.MjSpec.from_file(sys.argv[1]).worldbody))))
+spec = mujoco.MjSpec.from_file(sys.argv[1])
+free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+resisting = [joint for joint in free if numpy.any(joint.damping) or joint.frictionloss or joint.armature]
+print(json.dumps({
+    "masks": list(masks(spec.worldbody)), "resisting": [joint.name or joint.parent.name for joint in resisting]
+}))
 """
-"""Program that prints name, contype and conaffinity (masks of MuJoCo) of each geom that can touch others, depth first,
-as the converter writes them, which leaves the masks out. It runs in the environment of the converter."""
+"""Program that prints what the converter leaves out, as values of its defaults included. It runs in its environment.
+
+- masks: name, contype and conaffinity (masks of MuJoCo) of each geom that can touch others, depth first, as the
+  converter writes them.
+- resisting: names of the free joints, or of their bodies, with damping, friction or armature.
+"""
 LEFT_OUT = {
     "mujoco_usd_converter": (("tendons", "tendon/*"), ("sensors", "sensor/*"), ("equality constraints", "equality/*")),
     "urdf_usd_converter": (
@@ -65,6 +76,7 @@ LEFT_OUT = {
     ),
 }  # fmt: skip
 """By the program of a format: kinds of features that the engine does not simulate, and the places of their elements."""
+RESISTING = "damping, friction and armature of free joints"
 BEHIND_JOINTS = ("connect", "weld")
 """Equality constraints that become joints."""
 NOT_FOUND = "package {} is neither around the file nor in ROS_PACKAGE_PATH: its meshes are missing"
@@ -77,10 +89,10 @@ def import_robot(
 
     The file is converted to USD by `mujoco_usd_converter` or `urdf_usd_converter`, which must be on the search path or
     beside the Python interpreter, and read by `import_usd`. What neither supports is listed in `scene.import_report`,
-    with a warning; motors, tendons, equality constraints, mimic joints, transmissions and sensors by their names, with
-    a warning for each of these kinds. The package of an address `package://my_robot/meshes/arm.stl` is the folder
-    `my_robot` that contains the file, or that lies in a folder around it, or in a folder of the environment variable
-    ROS_PACKAGE_PATH.
+    with a warning; motors, tendons, equality constraints, mimic joints, transmissions, sensors and free joints with
+    damping by their names, with a warning for each of these kinds. The package of an address
+    `package://my_robot/meshes/arm.stl` is the folder `my_robot` that contains the file, or that lies in a folder around
+    it, or in a folder of the environment variable ROS_PACKAGE_PATH.
 
     Args:
         path: .xml or .mjcf (MJCF), or .urdf.
@@ -103,7 +115,9 @@ def import_robot(
     if path.suffix.lower() not in CONVERTERS:
         raise ValueError(f"{path}: must end in one of {', '.join(CONVERTERS)}")
     with tempfile.TemporaryDirectory() as folder:
-        findings = _convert(path, folder) + _keep_masks(path, folder)
+        findings = _convert(path, folder)
+        more, resisting = _read_with_mujoco(path, folder)
+        findings += more
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*see scene.import_report")
             try:
@@ -118,7 +132,7 @@ def import_robot(
         warnings.warn(f"{path}: {reason}", stacklevel=2)
     report = scene.import_report
     assert report is not None
-    named = _name_left_out(path, report.findings)
+    named = _name_left_out(path, report.findings, resisting)
     report = replace(report, file=str(path), findings=(*findings, *named, *report.findings), files=(str(path),))
     scene.import_report = report
     report.tell(strict, stacklevel=2)
@@ -187,20 +201,30 @@ def _run(command: list[str], folder: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=surroundings, cwd=folder)
 
 
-def _keep_masks(path: Path, folder: str) -> list[ImportFinding]:
-    """Add the masks of an MJCF file to its conversion, and return what cannot be added."""
-    if path.suffix.lower() == ".urdf" or not MASKED.search(path.read_text(errors="replace")):
-        return []
+def _read_with_mujoco(path: Path, folder: str) -> tuple[list[ImportFinding], list[str]]:
+    """Add the masks of an MJCF file to its conversion.
+
+    Returns:
+        What cannot be added, and the names of free joints with damping, friction or armature.
+    """
+    text = "" if path.suffix.lower() == ".urdf" else path.read_text(errors="replace")
+    if not (MASKED.search(text) or FREE.search(text)):
+        return [], []
     program = shutil.which(CONVERTERS[path.suffix.lower()], path=search_path()) or ""
     python = Path(program).resolve().parent / "python"
+    resisting: list[str] = []
     try:
-        done = _run([str(python), "-c", LIST_MASKS, str(path.absolute())], folder)
+        done = _run([str(python), "-c", MUJOCO_READER, str(path.absolute())], folder)
         done.check_returncode()
-        _add_masks(_main_file(path, folder), json.loads(done.stdout.splitlines()[-1]))
+        found = json.loads(done.stdout.splitlines()[-1])
+        resisting = found["resisting"]
+        if MASKED.search(text):
+            _add_masks(_main_file(path, folder), found["masks"])
     except (OSError, subprocess.SubprocessError, ValueError, IndexError) as error:
         reason = str(error).splitlines()[0] if isinstance(error, ValueError) else f"{python} has no MuJoCo"
-        return [ImportFinding(path.name, "left out", f"contype and conaffinity: {reason}: all bodies touch each other")]
-    return []
+        reason = f"contype and conaffinity: {reason}: all bodies touch each other"
+        return [ImportFinding(path.name, "left out", reason)], resisting
+    return [], resisting
 
 
 def _add_masks(file: Path, masks: list[tuple[str, int, int]]) -> None:
@@ -279,14 +303,15 @@ def _main_file(path: Path, folder: str) -> Path:
     return next((layer for layer in layers if layer.stem == path.stem), layers[0])
 
 
-def _name_left_out(path: Path, findings: Iterable[ImportFinding]) -> list[ImportFinding]:
+def _name_left_out(path: Path, findings: Iterable[ImportFinding], resisting: list[str]) -> list[ImportFinding]:
     """One finding for each kind of feature that is not simulated, with the names that the file gives.
 
     Args:
         path: an MJCF or URDF file.
         findings: what was left out of its conversion, which tells the motors apart from the servos that are imported.
+        resisting: free joints with damping, friction or armature.
     """
-    named: dict[str, list[str]] = {}
+    named: dict[str, list[str]] = {RESISTING: resisting} if resisting else {}
     for root in _included(path, set()):
         for kind, place in LEFT_OUT[CONVERTERS[path.suffix.lower()]]:
             for element in root.findall(place):
