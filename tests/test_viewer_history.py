@@ -41,6 +41,24 @@ def test_a_session_continues_from_an_earlier_moment(session):
     assert session.time == pytest.approx(moment.time + 2 * session.sim.settings.dt)
 
 
+def test_rewinding_keeps_the_full_turns_of_hinges(tmp_path):
+    (tmp_path / "wheel.py").write_text(
+        "import warp_rigid as wr\n\n\ndef scene():\n    made = wr.Scene(gravity=(0, 0, 0))\n"
+        "    made.add_body(wr.Sphere(0.1), angular_velocity=(0, 0, 20.0))\n"
+        "    made.add_joint(wr.RevoluteJoint((0, 0, 1)), 0)\n    return made\n"
+    )
+    session, history = Session(str(tmp_path / "wheel.py"), device="cpu"), History()
+    session.step(240)
+    history.add(session.time, session.sim)
+    angle = session.sim.get("joint_position")
+    session.step(240)
+    last = session.sim.get("joint_position")
+    session.show(history.at(0.0))
+    np.testing.assert_allclose(session.sim.get("joint_position"), angle, rtol=1e-6)
+    session.step(240)
+    np.testing.assert_allclose(session.sim.get("joint_position"), last, rtol=1e-6)
+
+
 def test_only_the_last_seconds_are_kept(session):
     history = History()
     for step in range(int(40 * RATE)):

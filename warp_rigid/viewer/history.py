@@ -22,10 +22,12 @@ class Moment:
     Attributes:
         time: simulated time [s].
         state: by name, the quantities of all bodies.
+        turned: coordinates of all joints on the device; those of hinges count full turns, which bodies do not tell.
     """
 
     time: float
     state: dict[str, np.ndarray]
+    turned: np.ndarray
 
 
 class History:
@@ -43,7 +45,8 @@ class History:
         """Keep the present state, unless the last moment is too recent."""
         if self.moments and time - self.moments[-1].time < 1.0 / RATE - 1e-9:
             return
-        self.moments.append(Moment(time, {name: sim.get(name) for name in QUANTITIES}))
+        turned = sim.internals.model.joints.position.numpy().copy()
+        self.moments.append(Moment(time, {name: sim.get(name) for name in QUANTITIES}, turned))
         most = max(2, MOST_NUMBERS // max(1, 13 * sim.num_envs * sim.num_bodies))
         while time - self.moments[0].time > LENGTH or len(self.moments) > most:
             self.moments.popleft()

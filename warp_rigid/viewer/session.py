@@ -193,6 +193,7 @@ class Session:
         self.release()
         for name, value in moment.state.items():
             self.sim.set(name, value)
+        self.sim.internals.model.joints.position.assign(moment.turned)
         _continue_at(self.sim, max(0.0, moment.time - self._time_before))
         self._time_before = moment.time - self.sim.time
         self._owed = 0.0
