@@ -120,6 +120,22 @@ def test_events_of_a_sweep_set_a_quantity_of_all_bodies_as_a_simulator_does():
     assert (row["status"], row["momentum"]) == ("ok", pytest.approx(2.0))
 
 
+def test_bodies_with_names_as_those_of_a_pool_do_not_belong_to_it(tmp_path):
+    scene = wr.Scene()
+    (own,) = scene.add_pool(wr.Sphere(0.1), 1, "shot")
+    scene.add_body(wr.Sphere(0.2), name="shot_7", active=False)
+    scene.add_static(wr.Box((0.1, 0.1, 0.1)), name="wall_0", active=False)
+    scene.add_body(wr.Sphere(0.3), name="shot")
+    assert scene.bodies[scene.add_body(wr.Sphere(0.3), name="shot", active=False)].name == "shot_1"
+    sim = wr.Simulator(scene, device="cpu")
+    sim.save(tmp_path / "sim.npz")
+    for one in (sim, wr.Simulator.load(tmp_path / "sim.npz")):
+        assert one.spawn("shot", (0, 0, 1)).tolist() == [own]
+        assert one.spawn("shot", (0, 0, 2)).tolist() == [-1]
+        with pytest.raises(ValueError, match="^pool: scene 0 has no bodies named wall_0"):
+            one.spawn("wall", (0, 0, 3))
+
+
 @pytest.mark.parametrize(
     ("pose", "message"),
     [

@@ -164,7 +164,6 @@ def test_a_bad_value_is_refused_in_one_line_that_names_the_field(field, value):
 
 
 def test_a_pool_whose_names_are_taken_is_refused():
-    """`Simulator.spawn` finds the bodies of a pool by their names."""
     scene = Scene()
     scene.add_pool(Lump(), 2, "shot")
     with pytest.raises(ValueError, match="^name: must be another one, as there is a body shot_0, got 'shot'"):

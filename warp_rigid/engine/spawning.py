@@ -10,7 +10,7 @@ from warp_rigid.engine import forgetting, quantities
 from warp_rigid.engine.layout import LACKING
 from warp_rigid.engine.selection import env_indices, existing, rows_of
 from warp_rigid.engine.world import World
-from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.scene import Motion, Scene
 
 
 def spawn(world: World, pool: str, poses: dict[str, Any], envs: Any) -> np.ndarray:
@@ -43,13 +43,14 @@ def despawn(world: World, bodies: Any, envs: Any) -> None:
 
 
 def _members(scene: Scene, number: int, pool: str) -> np.ndarray:
-    """Indices of the bodies of a pool, which are named NAME_0, NAME_1, ...
+    """Indices of the bodies of a pool; in files that do not state it, the dynamic bodies named NAME_0, NAME_1, ...
 
     Raises:
         ValueError: the scene has none.
     """
     pattern = re.compile(rf"{re.escape(str(pool))}_\d+")
-    found = [index for index, body in enumerate(scene.bodies) if pattern.fullmatch(body.name)]
+    named = [i for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC and pattern.fullmatch(body.name)]
+    found = scene.pools.get(str(pool), named)
     if not found:
         raise ValueError(f"pool: scene {number} has no bodies named {pool}_0, {pool}_1, ..., got {shown(pool)}")
     return np.array(found)

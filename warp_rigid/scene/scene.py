@@ -127,6 +127,7 @@ class Scene:
         bodies: list of Body, in the order in which they were added.
         force_fields: list of fields that act on the dynamic bodies besides gravity.
         filtered_pairs: pairs of bodies' indices, the smaller one first, that never touch.
+        pools: indices of the bodies of each pool by its name.
         joints: list of JointEntry, in the order in which they were added.
         import_report: what import_usd left out or changed; None for a scene that was not imported.
         parameters: with which the function scene() of a .py file was called, by name; {} for other scenes.
@@ -164,6 +165,7 @@ class Scene:
         self._copies_of_joints: dict[str, int] = {}
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
+        self.pools: dict[str, list[int]] = {}
         self.joints: list[JointEntry] = []
         self.looks: dict[int, Look] = {}
         self.import_report: ImportReport | None = None
@@ -184,7 +186,7 @@ class Scene:
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""
         found = copy(self)
-        for name in ("bodies", "force_fields", "filtered_pairs", "joints", "looks"):
+        for name in ("bodies", "force_fields", "filtered_pairs", "pools", "joints", "looks"):
             setattr(found, name, copy(getattr(self, name)))
         return found
 
@@ -252,7 +254,8 @@ class Scene:
         taken = sorted(self._copies.keys() & names)
         if taken:
             raise ValueError(f"name: must be another one, as there is a body {taken[0]}, got {shown(name)}")
-        return [self.add_body(shape, name=own, active=False, **more) for own in names]
+        self.pools[name] = [self.add_body(shape, name=own, active=False, **more) for own in names]
+        return list(self.pools[name])
 
     @list_coefficients
     def add_static(

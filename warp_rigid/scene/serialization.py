@@ -51,6 +51,7 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
         "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
+        "pools": scene.pools,
         "joints": [{**asdict(entry), "kind": type(entry.joint).__name__} for entry in scene.joints],
     }
 
@@ -81,6 +82,8 @@ def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
     scene.looks = looks_from_data(data.get("looks", []), len(scene.bodies))
     for a, b in data["filtered_pairs"]:
         scene.filter_pair(a, b)
+    for name, members in data.get("pools", {}).items():  # older files have none
+        scene.pools[name] = [whole_in(f"pool {name}", index, 0, len(scene.bodies) - 1) for index in members]
     for entry in data.get("joints", []):  # older files have none
         _add_joint(scene, entry)
     return scene
