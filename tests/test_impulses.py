@@ -34,7 +34,7 @@ def solve(device, scene, **settings):
 def solve_stage(stages):
     find_contacts(stages)
     stages.build_graph()
-    stages.integrate_velocities(before_collisions=False)
+    stages.integrate_velocities(after_impacts=True)
     problem = ContactProblem(stages)
     before = problem.velocity(stages)
     stages.solve_contacts()

@@ -99,7 +99,7 @@ def test_velocity_after_the_step_does_not_know_of_the_push(device):
     stages.find_pairs()
     stages.find_contacts()
     stages.build_graph()
-    stages.integrate_velocities(before_collisions=False)
+    stages.integrate_velocities(after_impacts=True)
     stages.solve_contacts()
     before = stages.motions.solver_bodies.numpy()
     stages.push_out()

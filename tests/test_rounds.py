@@ -23,7 +23,7 @@ def fallen(device, bodies=140, steps=70, **settings):
     sim.step(steps)
     find_contacts(stages)
     stages.build_graph()
-    stages.integrate_velocities(before_collisions=False)
+    stages.integrate_velocities(after_impacts=True)
     return sim, stages
 
 

@@ -37,7 +37,7 @@ class Search:
     def __init__(self, stages, warm=True, sweeps=True):
         find_contacts(stages)
         stages.build_graph()
-        stages.integrate_velocities(before_collisions=False)
+        stages.integrate_velocities(after_impacts=True)
         self.problem = ContactProblem(stages)
         self.free = self.problem.velocity(stages)
         if not warm:
@@ -152,7 +152,7 @@ def step_cold(device, scene, mode, **settings):
     _, stages = opened(scene, device, settings=Settings(shock_propagation=mode, **{**COLD, **settings}))
     find_contacts(stages)
     stages.build_graph()
-    stages.integrate_velocities(before_collisions=False)
+    stages.integrate_velocities(after_impacts=True)
     stages.solve_contacts()
     contacts = contact_list(stages)
     impulses = {}

@@ -53,6 +53,11 @@ def test_unknown_names_are_followed_by_the_nearest(sim, call, nearest, where):
     assert "\n" not in message and len(message) < 400
 
 
+def test_a_colour_given_with_a_body_is_told_where_it_belongs():
+    with pytest.raises(TypeError, match=r"'color'; set it with scene.looks\[index\] = Look\(\(red, green, blue\)\)$"):
+        wr.Scene().add_body(wr.Sphere(0.1), color=(1, 0, 0))
+
+
 def test_a_known_observer_with_wrong_bodies_is_not_suggested():
     with pytest.raises(ValueError, match=r"got 'peak_impulse\[a,b,c\]'$"):
         check_observers(["peak_impulse[a,b,c]"])

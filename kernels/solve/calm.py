@@ -47,8 +47,8 @@ def limit_of(entry: OrderRecord, motions: Motions, graph: Graph):
 
 
 @wp.func
-def any_calm(team: Team, envs: Environments, graph: Graph, motions: Motions):
-    """Whether an environment has a calm island. Stores the velocities of calm islands before the first sweep."""
+def store_calm_velocities(team: Team, envs: Environments, graph: Graph, motions: Motions):
+    """Store the velocities of calm islands before the first sweep. Returns whether an environment has one."""
     found = int(0)
     for b in range(envs.first_body[team.env] + team.lane, envs.first_body[team.env + 1], team.lanes):
         if inverse_mass_of(b, motions) > 0.0 and graph.further_sweeps[b] > 0:
@@ -59,8 +59,8 @@ def any_calm(team: Team, envs: Environments, graph: Graph, motions: Motions):
 
 
 @wp.func
-def any_other(team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
-    """Whether an environment has constraints of other islands. Stores the impulses of calm islands."""
+def store_calm_impulses(team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """Store the impulses of calm islands. Returns whether an environment has constraints of other islands."""
     others = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
@@ -160,9 +160,9 @@ def sweep_calm_islands(
     still = CALM_CONVERGED * motions.velocity_unit[envs.first_body[env]]
     if graph.residual[env] <= still:
         return
-    if any_calm(team, envs, graph, motions) == 0:
+    if store_calm_velocities(team, envs, graph, motions) == 0:
         return
-    others = any_other(team, order, graph, motions, contacts)
+    others = store_calm_impulses(team, order, graph, motions, contacts)
     most = MOST_CALM * envs.contact_iterations[env]
     start = float(graph.residual[env])
     goal = float(start)

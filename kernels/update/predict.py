@@ -168,16 +168,22 @@ def derive_motion(
 
 @wp.kernel
 def integrate_velocities(
-    dt: float, when: int, bodies: Bodies, envs: Environments, fields: FieldForces, state: State, motions: Motions
+    dt: float,
+    after_impacts: int,
+    bodies: Bodies,
+    envs: Environments,
+    fields: FieldForces,
+    state: State,
+    motions: Motions,
 ):
-    """Velocity update: add the acceleration of a step in environments whose `collision_first` is `when`.
+    """Velocity update, before the impacts of a step or after them, in environments whose `collision_first` says so.
 
     Media resist the mean of the velocities before and after the impacts of the step, as impacts are time-centred. With
     that before them, a medium would accelerate a body that rebounds.
     """
     b = wp.tid()
     env = bodies.env[b]
-    if envs.collision_first[env] != when or motions.role[b] != Role.FREE:
+    if envs.collision_first[env] != after_impacts or motions.role[b] != Role.FREE:
         return
     linear = motions.solver_bodies[b].linear
     drag = drag_of(fields, env)

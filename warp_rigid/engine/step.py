@@ -125,10 +125,10 @@ class Stages:
         self.find_pairs()
         self.find_contacts()
         self.build_graph()
-        self.integrate_velocities(before_collisions=True)
+        self.integrate_velocities(after_impacts=False)
         self.set_surface_velocity(before_step=True)
         self.solve_impacts()
-        self.integrate_velocities(before_collisions=False)
+        self.integrate_velocities(after_impacts=True)
         if self.model.surface_vertices:
             self.set_surface_velocity(before_step=False)
         self.solve_contacts()
@@ -238,10 +238,10 @@ class Stages:
         self.joints.start()
 
     @stage
-    def integrate_velocities(self, before_collisions: bool) -> None:
+    def integrate_velocities(self, after_impacts: bool) -> None:
         """Velocity update: add the acceleration of the step, in environments whose stage order has it here."""
-        model, when = self.model, 0 if before_collisions else 1
-        inputs = [self.dt, when, model.bodies, self.envs, model.fields, self.state]
+        model = self.model
+        inputs = [self.dt, int(after_impacts), model.bodies, self.envs, model.fields, self.state]
         self.per_body(predict.integrate_velocities, inputs, [self.motions])
 
     @stage

@@ -109,6 +109,10 @@ class Body(Coefficients):
     path: PosePath | None = None
 
 
+OF_LOOKS = ("color", "colour", "rgb", "rgba", "look")
+"""Keywords that programs of other engines give a body for what is in `Scene.looks` here."""
+
+
 class Scene:
     """One environment: bodies, gravity, force fields and the rules for a pair's coefficients.
 
@@ -492,8 +496,9 @@ class Scene:
                 raise ValueError(f"{keyword}: must be of a static or kinematic body, not of a dynamic one")
             if keyword not in COEFFICIENTS:
                 add = self.add_body if motion == Motion.DYNAMIC else getattr(self, f"add_{motion.name.lower()}")
-                known = list(signature(add).parameters)[1:]
-                raise TypeError(f"unexpected keyword argument {keyword!r}{suggestion(keyword, known)}")
+                known = suggestion(keyword, list(signature(add).parameters)[1:])
+                hint = "; set it with scene.looks[index] = Look((red, green, blue))" if keyword in OF_LOOKS else known
+                raise TypeError(f"unexpected keyword argument {keyword!r}{hint}")
         if name is not None and not isinstance(name, str):
             raise ValueError(f"name: must be a string, got {shown(name)}")
         if not isinstance(active, bool):

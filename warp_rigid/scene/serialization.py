@@ -82,7 +82,7 @@ def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
     scene.looks = looks_from_data(data.get("looks", []), len(scene.bodies))
     for a, b in data["filtered_pairs"]:
         scene.filter_pair(a, b)
-    for name, members in data.get("pools", {}).items():  # older files have none
+    for name, members in dict(data.get("pools", {})).items():  # older files have none
         scene.pools[name] = [whole_in(f"pool {name}", index, 0, len(scene.bodies) - 1) for index in members]
     for entry in data.get("joints", []):  # older files have none
         _add_joint(scene, entry)
