@@ -26,6 +26,10 @@ class FakeSimulator:
         self.steps = 0
 
     @property
+    def times(self):
+        return np.full(self.num_envs, self.time)
+
+    @property
     def time(self):
         return self.steps * self.settings.dt
 

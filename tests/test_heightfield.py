@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from pxr import Usd
 
+import warp_rigid as wr
 from tests.geometry_oracles import distance_to_triangles
 from tests.test_distance import measure
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.render.film import film_from_recording
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, HarmonicMotion, Heightfield, PartKind, Sphere
 
@@ -126,3 +129,40 @@ def test_a_box_slides_off_the_border_and_falls(device):
 def test_bad_motions_are_refused(make, field):
     with pytest.raises(ValueError, match=f"^{field}: "):
         make()
+
+
+def test_moving_ground_is_drawn_at_the_time_of_its_environment(tmp_path):
+    """Of three environments, the second one was reset before the recording, and the third one is reset within it."""
+    motion = HarmonicMotion(0.1, 2.0 * np.pi)
+    scene = wr.Scene()
+    scene.add_kinematic(Heightfield(np.zeros((2, 2)), (2, 2), motion), name="sea")
+    scene.add_body(wr.Sphere(0.1), position=(0, 0, 5))
+    sim = wr.Simulator(scene, num_envs=3, settings=wr.Settings(dt=1 / 240), device="cpu")
+    sim.step(60)
+    sim.reset(envs=[1])
+    recording = wr.record(sim, 2, on_frame=lambda index, sim: sim.reset(envs=[2]) if index == 1 else None)
+    times = np.array([[60, 0, 60], [64, 4, 64], [68, 8, 4]]) / 240
+    np.testing.assert_allclose(recording.times, times)
+    recording.save(tmp_path / "film.npz")
+    heights = 0.1 * np.sin(2.0 * np.pi * times)
+    for one in (recording, wr.Recording.load(tmp_path / "film.npz")):
+        film = film_from_recording(one)
+        drawn = [[film.meshes[film.mesh[2 * env]].frames[frame][0, 2] for env in range(3)] for frame in range(3)]
+        np.testing.assert_allclose(drawn, heights, atol=1e-6)
+    for profile in ("animation", "scene"):
+        wr.export_usd(recording, tmp_path / f"{profile}.usda", profile=profile)
+        stage = Usd.Stage.Open(str(tmp_path / f"{profile}.usda"))
+        for env in range(3):
+            below = Usd.PrimRange(stage.GetPrimAtPath(f"/World/env_{env:04}/sea"), Usd.TraverseInstanceProxies())
+            (points,) = (prim.GetAttribute("points") for prim in below if prim.GetTypeName() == "Mesh")
+            np.testing.assert_allclose([points.Get(code)[0][2] for code in range(3)], heights[:, env], atol=1e-6)
+    sim.reset()
+    sim.step(4)
+    with (
+        pytest.raises(ValueError, match="^sim: an environment was reset apart"),
+        wr.UsdStream(sim, tmp_path / "s.usdc") as stream,
+    ):
+        sim.reset(envs=[0])
+        stream.capture(sim)
+    back = wr.import_usd(tmp_path / "scene.usda", "/World/env_0001")
+    assert back.bodies[0].shape.phase == pytest.approx(np.zeros((2, 2)), abs=1e-6)

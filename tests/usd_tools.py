@@ -12,7 +12,7 @@ class Resting:
     """A simulator that stays at its scene's start, for exports that need no motion."""
 
     def __init__(self, scene, num_envs=1):
-        self.scene, self.num_envs, self.time = scene, num_envs, 0.0
+        self.scene, self.num_envs, self.time, self.times = scene, num_envs, 0.0, np.zeros(num_envs)
         self.scenes, self.scene_of = [scene], np.zeros(num_envs, dtype=int)
 
     def get(self, name):

@@ -176,7 +176,7 @@ def _uri(content: bytes, suffix: str) -> str:
 class _AtStart:
     """A scene as a simulator of one environment before the first step, with what Recorder reads of it."""
 
-    num_envs, time, scene_of = 1, 0.0, np.zeros(1, int)
+    num_envs, time, times, scene_of = 1, 0.0, np.zeros(1), np.zeros(1, int)
 
     def __init__(self, scene: Scene) -> None:
         """Store the scene."""
@@ -225,7 +225,8 @@ def _end_with_motion(recording: Recording) -> Recording:
     before = np.where(moves, np.nextafter(last, np.float32(np.inf)), last)
     twice: dict[str, Any] = {
         name: np.repeat(getattr(recording, name)[-1:], 2, axis=0)
-        for name in ("orientation", "asleep", "level", "active")
+        for name in ("orientation", "asleep", "level", "active", "times")
+        if getattr(recording, name) is not None
     }
     return replace(recording, time=recording.time[-1] + np.arange(2), position=np.concatenate([before, last]), **twice)
 

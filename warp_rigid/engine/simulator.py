@@ -151,6 +151,12 @@ class Simulator:
         return self._world.shards.steps * self.settings.dt
 
     @property
+    def times(self) -> np.ndarray:
+        """(envs,) simulated time of each environment since its start or its last reset; halted ones stand still [s]."""
+        with self.in_use():
+            return self._world.envs.step.numpy() * self.settings.dt
+
+    @property
     def memory(self) -> int:
         """Device memory that the simulator occupies [bytes]."""
         return self._world.shards.memory

@@ -1,5 +1,6 @@
 """Film: drawable data of all frames, created from a recording or a USD file."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -147,11 +148,12 @@ def film_from_recording(recording: Recording) -> Film:
     spread = spread_of(recording)
     surfaces = drawn_surfaces(recording, envs, spread)
     offsets = environment_offsets(envs, spread.spacing()).astype(np.float32)
+    meshes, mesh = _meshes(recording, surfaces)
     looks = drawn_looks(recording)
     images, image = _numbered([looks[body].image if body in looks else None for body in range(bodies)])
     return Film(
-        meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
-        mesh=np.tile(recording.surface, envs),
+        meshes=meshes,
+        mesh=mesh.reshape(-1),
         color=np.tile(body_colors(recording.motion, recording.looks), (envs, 1)),
         position=(recording.position + offsets[:, None]).reshape(frames, envs * bodies, 3),
         orientation=recording.orientation.reshape(frames, envs * bodies, 4),
@@ -192,6 +194,24 @@ def colored(film: Film, recording: Recording, by: str) -> Film:
     rows = range(len(recording.envs))
     colors = [np.concatenate([frame_colors(by, recording, row, f) for row in rows]) for f in recording.frames()]
     return replace(film, color=np.stack(colors), image=np.where(film.dynamic, -1, film.image))
+
+
+def _meshes(recording: Recording, surfaces: Sequence[DrawnSurface]) -> tuple[tuple[DrawnMesh, ...], np.ndarray]:
+    """The meshes of a film, and the index (envs, bodies) of that of each body.
+
+    A surface that moves has a mesh for each course of time that environments have.
+    """
+    meshes: list[DrawnMesh] = []
+    mesh = np.tile(recording.surface, (len(recording.envs), 1))
+    for index, surface in enumerate(surfaces):
+        made: dict[bytes, int] = {}
+        for row in range(len(recording.envs)) if surface.moves else (0,):
+            times = recording.times_of(row)
+            if times.tobytes() not in made:
+                made[times.tobytes()] = len(meshes)
+                meshes.append(_drawn(surface, times))
+            mesh[row if surface.moves else slice(None), recording.surface == index] = made[times.tobytes()]
+    return tuple(meshes), mesh
 
 
 def _drawn(surface: DrawnSurface, times: np.ndarray) -> DrawnMesh:

@@ -66,20 +66,15 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
         env = file.node(world, name=recording.labels[row] or f"env_{recording.envs[row]:04d}", translation=offset)
         for body, name in enumerate(recording.names):
             places, turns = recording.position[:, row, body], orientation[:, row, body]
-            mesh = file.mesh(
-                int(recording.surface[body]),
-                surfaces[recording.surface[body]],
-                colors[body],
-                looks.get(body, MATT),
-            )
+            index = int(recording.surface[body])
+            weights = surfaces[index].weights_at(recording.times_of(row)).astype(np.float32)
+            mesh = file.mesh(index, surfaces[index], colors[body], looks.get(body, MATT), weights[0])
             node = file.node(env, name=name, mesh=mesh, translation=places[0].tolist(), rotation=turns[0].tolist())
             if (places != places[0]).any():
                 file.animate(node, "translation", time, file.numbers(places, "VEC3"))
             if (turns != turns[0]).any():
                 file.animate(node, "rotation", time, file.numbers(turns, "VEC4"))
-            if surfaces[recording.surface[body]].moves:
-                weights = surfaces[recording.surface[body]].weights_at(recording.time).astype(np.float32)
-                file.weigh(mesh, weights[0].tolist())
+            if surfaces[index].moves:
                 file.animate(node, "weights", time, file.numbers(weights.reshape(-1), "SCALAR"))
             if not recording.active[:, row, body].all():
                 scales = np.repeat(recording.active[:, row, body, None], 3, axis=1).astype(np.float32)
@@ -117,10 +112,6 @@ class _Assembly:
         """Scale a node at the start."""
         self._gltf.nodes[node].scale = factors
 
-    def weigh(self, mesh: int, weights: list[float]) -> None:
-        """Set the weights of the shapes of a mesh at the start."""
-        self._gltf.meshes[mesh].weights = weights
-
     def numbers(self, values: np.ndarray, kind: str, bounds: bool = False, target: int | None = None) -> int:
         """Add an array; returns the index of its accessor."""
         accessor = self._library.Accessor(
@@ -140,9 +131,12 @@ class _Assembly:
         self._blob += content
         return _added(self._gltf.bufferViews, view)
 
-    def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray, look: Look) -> int:
-        """Add surface number `index` with a colour and a look; meshes of the same surface share its arrays."""
-        key = index, color.tobytes(), look
+    def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray, look: Look, weights: np.ndarray) -> int:
+        """Add surface number `index` with a colour, a look and the weights of its shapes at the start if it moves.
+
+        Meshes of the same surface share its arrays.
+        """
+        key = index, color.tobytes(), look, weights.tobytes() if surface.moves else b""
         if key not in self._meshes:
             texture = self._texture(look.image) if look.image else None
             part = index, texture is not None
@@ -157,7 +151,8 @@ class _Assembly:
                 )
                 for attributes, corners, targets in self._geometry[part]
             ]
-            self._meshes[key] = _added(self._gltf.meshes, self._library.Mesh(primitives=primitives))
+            made = self._library.Mesh(primitives=primitives, weights=weights.tolist() if surface.moves else [])
+            self._meshes[key] = _added(self._gltf.meshes, made)
         return self._meshes[key]
 
     def _parts(self, surface: DrawnSurface, textured: bool) -> list[tuple[Any, int, list]]:

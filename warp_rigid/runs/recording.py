@@ -59,6 +59,11 @@ class Frame:
     linear_velocity: np.ndarray | None = None
     angular_velocity: np.ndarray | None = None
     contacts: np.ndarray | None = None
+    times: np.ndarray | None = None
+
+    def time_of(self, row: int) -> float:
+        """Time since the start or the last reset of an environment, which its moving ground follows [s]."""
+        return self.time if self.times is None else float(self.times[row])
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +93,8 @@ class Recording:
         camera: where pictures are taken from, with the index of the body that it follows; None for a camera that keeps
             the moving bodies in view.
         looks: Look of bodies by their index.
+        times: (frames + 1, envs) float64, time since the start or the last reset of each environment, which its moving
+            ground follows [s]; None if it is `time`.
     """
 
     time: np.ndarray
@@ -110,6 +117,7 @@ class Recording:
     start: dict[str, np.ndarray] = field(default_factory=dict)
     camera: Camera | None = None
     looks: dict[int, Look] = field(default_factory=dict)
+    times: np.ndarray | None = None
 
     def __repr__(self) -> str:
         """Show the size."""
@@ -123,12 +131,20 @@ class Recording:
 
     def frames(self) -> Iterator[Frame]:
         """Iterate over all frames, including the initial one."""
-        return _frames({name: getattr(self, name) for name in ("time", *self._kept)}, self.contacts)
+        return _frames({name: getattr(self, name) for name in ("time", *self._kept, *self._own_times)}, self.contacts)
 
     @property
     def _kept(self) -> list[str]:
-        """Names of the quantities recorded in every frame, without the contacts."""
+        """Names of the quantities of bodies recorded in every frame."""
         return [*CAPTURED, *(name for name in VELOCITIES if getattr(self, name) is not None)]
+
+    @property
+    def _own_times(self) -> list[str]:
+        return [] if self.times is None else ["times"]
+
+    def times_of(self, row: int) -> np.ndarray:
+        """(frames + 1,) `Frame.time_of` of an environment."""
+        return self.time if self.times is None else self.times[:, row]
 
     def rows(self, envs: Iterable[int] | None = None) -> np.ndarray:
         """Array rows of the environments `envs` (indices in the simulation; None: all).
@@ -168,7 +184,8 @@ class Recording:
 
         The scene is not stored: a loaded recording can be drawn, but not exported as a scene with physics.
         """
-        arrays = {name: getattr(self, name) for name in ("time", *self._kept, "envs", "motion", "surface")}
+        names = ("time", *self._kept, *self._own_times, "envs", "motion", "surface")
+        arrays = {name: getattr(self, name) for name in names}
         if self.contacts is not None:
             arrays |= _contact_arrays(self.contacts)
         for index, surface in enumerate(self.surfaces):
@@ -285,7 +302,7 @@ class Recorder:
     """Collects frames of a running simulation.
 
     Args:
-        sim: the Simulator, or an object with its `scene`, `num_envs`, `time` and `get`.
+        sim: the Simulator, or an object with its `scene`, `num_envs`, `time`, `times` and `get`.
         fps: frames per simulated second; stored only, the caller steps the simulation.
         envs: environments to record, as in Simulator.get; None records all.
         labels: one label per recorded environment.
@@ -317,8 +334,10 @@ class Recorder:
     def snapshot(self, sim) -> Frame:
         """Return the current state without storing it."""
         contacts = sim.contacts() if self._contacts else None  # of all environments, by their index in the simulation
+        time, times = float(sim.time), np.asarray(sim.times)[self.envs]
         return Frame(
-            time=float(sim.time),
+            time=time,
+            times=None if (times == time).all() else times,
             **{name: self._rows(sim, name, dtype) for name, dtype in self._captured.items()},
             contacts=None if contacts is None else contacts[np.isin(contacts["env"], self.envs)],
         )
@@ -352,7 +371,8 @@ class Recorder:
         time = shaped(arrays, "time", np.float64, (None,))
         rows = (len(time), len(self.envs), len(self._scene.bodies))
         contacts = _contacts(arrays, len(time)) if self._contacts else None
-        self._frames = list(_frames({"time": time, **_quantities(arrays, self._captured, rows)}, contacts))
+        kept = _times(arrays, *rows[:2]) | _quantities(arrays, self._captured, rows)
+        self._frames = list(_frames({"time": time, **kept}, contacts))
 
     def recording(self) -> Recording:
         """Return all frames captured so far."""
@@ -375,8 +395,11 @@ class Recorder:
 
     def _stacked(self) -> dict[str, np.ndarray]:
         """The frames as arrays, without contacts."""
-        time = np.array([frame.time for frame in self._frames])
-        return {"time": time} | {name: np.stack([getattr(f, name) for f in self._frames]) for name in self._captured}
+        stacked = {"time": np.array([frame.time for frame in self._frames])}
+        if any(frame.times is not None for frame in self._frames):
+            rows = range(len(self.envs))
+            stacked["times"] = np.array([[frame.time_of(row) for row in rows] for frame in self._frames])
+        return stacked | {name: np.stack([getattr(f, name) for f in self._frames]) for name in self._captured}
 
     def _contact_frames(self) -> tuple[np.ndarray, ...]:
         return tuple(frame.contacts for frame in self._frames if frame.contacts is not None)
@@ -483,7 +506,7 @@ def _checked(text: dict, arrays: Mapping[str, np.ndarray]) -> dict:
     surface = shaped(arrays, "surface", np.int64, motion.shape)
     rows = (len(time), len(envs), len(motion))
     kept = CAPTURED | {name: kind for name, kind in VELOCITIES.items() if name in arrays}
-    frames = _quantities(arrays, kept, rows)
+    frames = _times(arrays, *rows[:2]) | _quantities(arrays, kept, rows)
     properties = zip(text["endless"], text["angular_frequency"], strict=True)
     surfaces = tuple(
         _surface(arrays, index, bool(endless), frequency) for index, (endless, frequency) in enumerate(properties)
@@ -516,6 +539,11 @@ def _surface(arrays: Mapping[str, np.ndarray], index: int, endless: bool, freque
         raise ValueError(f"swing_{index} must have {len(vertices)} columns")
     uv = shaped(arrays, f"uv_{index}", np.float32, (len(faces), 3, 2)) if f"uv_{index}" in arrays else None
     return DrawnSurface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0), uv)
+
+
+def _times(arrays: Mapping[str, np.ndarray], frames: int, envs: int) -> dict[str, np.ndarray]:
+    """The times of the environments where they have their own."""
+    return {"times": shaped(arrays, "times", np.float64, (frames, envs))} if "times" in arrays else {}
 
 
 def _quantities(arrays: Mapping[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:

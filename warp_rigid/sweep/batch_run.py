@@ -104,7 +104,7 @@ def _launch_order(inputs: list[RunInputs], bodies: list[int]) -> list[int]:
     return sorted(range(len(inputs)), key=lambda index: (-bodies[index], kind[index]))
 
 
-def replay(result: Any, row: Mapping[str, Any] | int, scene: Any = None, device: Any = None) -> Simulator:
+def replay(result: Any, row: Any, scene: Any = None, device: Any = None) -> Simulator:
     """Build a simulator of one row in its initial state; see SweepResult.replay."""
     if not isinstance(row, Mapping):
         numbers = [one["run"] for one in result.rows]

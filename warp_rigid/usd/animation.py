@@ -61,7 +61,7 @@ class Instancers:
             surface = self._film.surface[bodies[0]]
             group = _Group(
                 bodies,
-                bound_corners(self._film.surfaces[surface].vertices_at(frame.time)),
+                bound_corners(self._film.surfaces[surface].vertices_at(frame.time_of(self._row))),
                 frame.position[self._row, bodies],
                 frame.orientation[self._row, bodies],
             )
@@ -94,7 +94,8 @@ class Instancers:
         prim.SetInfo("customData", {MARK: {"motion": motion.name.lower()}})
         define(layer, f"{path}/Prototypes", "Scope")
         prototype = define(layer, f"{path}/Prototypes/shape", "Mesh")
-        library.add_reference(prototype, library.mesh_path(self._film.surface[group.bodies[0]]))
+        index = int(self._film.surface[group.bodies[0]])
+        library.add_reference(prototype, library.mesh_path(index, self._film.surfaces[index], self._row))
         set_relationship(prim, "prototypes", f"{path}/Prototypes/shape")
         indices = np.zeros(len(group.bodies), dtype=np.int32)
         set_attribute(prim, "protoIndices", NAMES.IntArray, Vt.IntArray.FromNumpy(indices))
@@ -115,7 +116,7 @@ class Instancers:
         for group in self._groups:
             surface = self._film.surfaces[self._film.surface[group.bodies[0]]]
             if surface.moves:
-                group.corners = bound_corners(surface.vertices_at(frame.time))
+                group.corners = bound_corners(surface.vertices_at(frame.time_of(self._row)))
             orientation = frame.orientation[self._row, group.bodies]
             # q and -q are the same rotation; equal signs let readers interpolate along the short arc.
             orientation[np.einsum("ij,ij->i", orientation, group.orientation) < 0.0] *= -1.0

@@ -68,7 +68,7 @@ class CameraWriter:
         """
         camera = shifted(self._camera, offset)
         if camera.body is not None:
-            _, reach = self._placed_at(0, self._film.position[0], self._film.orientation[0])
+            _, reach = self._placed_at(0.0, self._film.position[0], self._film.orientation[0])
             shift = NAMES.Double3, Gf.Vec3d(*offset.tolist())
             set_operations(self._prim, {"translate": shift, "transform": (NAMES.Matrix4d, None)})
         elif camera.look_at is not None and camera.distance is not None:
@@ -84,7 +84,7 @@ class CameraWriter:
         set_attribute(self._prim, "clippingRange", NAMES.Float2, Gf.Vec2f(0.01 * reach, 1000.0 * reach))
 
     def _followed(self, frame: Frame) -> tuple[np.ndarray, Camera]:
-        return self._placed_at(frame.time, frame.position, frame.orientation)[0], self._camera
+        return self._placed_at(frame.time_of(self._row), frame.position, frame.orientation)[0], self._camera
 
     def _placed_at(self, time: float, position: np.ndarray, orientation: np.ndarray) -> tuple[np.ndarray, float]:
         body = int(self._camera.body or 0)

@@ -35,46 +35,55 @@ class Library:
     Args:
         layer: layer of the definitions.
         root: path of the class prim.
-        time: time of the first frame [s].
+        frame: the first frame.
+        alike: for each row the first row of an environment with the same times, for surfaces that move.
         images: names the images of looks.
     """
 
-    def __init__(self, layer: Sdf.Layer, root: str, time: float, images: ImagePaths):
+    def __init__(self, layer: Sdf.Layer, root: str, frame: Frame, alike: Mapping[int, int], images: ImagePaths):
         """Define the class prim."""
-        self.layer, self.root, self._time, self.images = layer, root, time, images
+        self.layer, self.root, self._frame, self._alike, self.images = layer, root, frame, alike, images
         self._samples = SampleWriter(layer)
-        self._moving: dict[str, tuple[DrawnSurface, list[Track]]] = {}
-        self._colliders: dict[tuple[str, tuple[float, ...]], str] = {}
+        self._moving: dict[str, tuple[DrawnSurface, int, list[Track]]] = {}
+        self._colliders: dict[tuple[str, int, tuple[float, ...]], str] = {}
         self._painted: dict[tuple[str, tuple[float, ...], Look | None], str] = {}
         define(layer, root, "Scope", specifier=Sdf.SpecifierClass)
 
-    def mesh_path(self, index: int) -> str:
-        """Path of surface number `index`."""
-        return f"{self.root}/mesh_{index}"
+    def mesh_path(self, index: int, surface: DrawnSurface, row: int) -> str:
+        """Path of surface number `index` for an environment."""
+        first, place = next(iter(self._alike)), self._row_of(surface.moves, row)
+        return f"{self.root}/mesh_{index}" + ("" if place == first else f"_{place}")
+
+    def _row_of(self, moving: bool, row: int) -> int:
+        """The row by whose time a surface is drawn for an environment; all have those that do not move in common."""
+        return self._alike[row if moving else next(iter(self._alike))]
 
     def mesh(self, index: int, surface: DrawnSurface) -> None:
         """Define or replace surface number `index`."""
-        self._write(define(self.layer, self.mesh_path(index), "Mesh"), surface)
+        for row in {self._row_of(surface.moves, row) for row in self._alike}:
+            self._write(define(self.layer, self.mesh_path(index, surface, row), "Mesh"), surface, row)
 
     def sample(self, time: float, frame: Frame) -> None:
         """Write the moving surfaces of a frame."""
-        for surface, tracks in self._moving.values():
-            points = surface.vertices_at(frame.time)
+        if self._moving and any(frame.time_of(row) != frame.time_of(first) for row, first in self._alike.items()):
+            raise ValueError("sim: an environment was reset apart from others, which have its moving ground in common")
+        for surface, row, tracks in self._moving.values():
+            points = surface.vertices_at(frame.time_of(row))
             normals = corner_normals(points, surface.faces).reshape(-1, 3)
             values = [vec3f(points), vec3f(normals), _extent(points)]
             self._samples.put(tracks, time, values)
 
-    def _write(self, prim: Sdf.PrimSpec, surface: DrawnSurface) -> None:
+    def _write(self, prim: Sdf.PrimSpec, surface: DrawnSurface, row: int) -> None:
         """Write the triangles of the first frame, and track those of a moving surface."""
-        write_mesh(prim, surface.vertices_at(self._time), surface.faces, surface.uv)
+        write_mesh(prim, surface.vertices_at(self._frame.time_of(row)), surface.faces, surface.uv)
         if surface.moves:
             tracks = [self._samples.track(prim.attributes[name]) for name in ("points", "normals", "extent")]
-            self._moving[str(prim.path)] = surface, tracks
+            self._moving[str(prim.path)] = surface, row, tracks
 
     def fit_plane(self, shape: Shape, surface: DrawnSurface) -> None:
         """Replace the drawn surface of a plane, and the width of its collider, which stays infinite."""
         width = float(np.linalg.norm(surface.vertices[1] - surface.vertices[0]))
-        for (key, _), path in self._colliders.items():
+        for (key, _, _), path in self._colliders.items():
             if key == shape.key:
                 write_mesh(self.layer.GetPrimAtPath(f"{path}/{RENDERED}"), surface.vertices, surface.faces)
                 for side in ("width", "length"):
@@ -85,13 +94,14 @@ class Library:
         file = "" if prim.layer == self.layer else f"./{Path(self.layer.realPath).name}"
         prim.referenceList.prependedItems = [Sdf.Reference(file, path)]
 
-    def collider(self, shape: Shape, coefficients: Mapping[str, float]) -> str:
-        """Path of an Xform with the colliders of a shape and their material.
+    def collider(self, shape: Shape, row: int, coefficients: Mapping[str, float]) -> str:
+        """Path of an Xform with the colliders of a shape in an environment and their material.
 
         Colliders that are no meshes are guides, which are not rendered, beside a mesh, which is: some readers, such as
         Blender, give no material to the others.
         """
-        key = (shape.key, tuple(coefficients.values()))
+        row = self._row_of(any(moves(part) for part, _, _ in simple_shapes(shape)), row)
+        key = (shape.key, row, tuple(coefficients.values()))
         if key not in self._colliders:
             path = f"{self.root}/shape_{len(self._colliders)}"
             self._colliders[key] = path
@@ -99,9 +109,10 @@ class Library:
             separate = not isinstance(shape, (Mesh, Heightfield))
             write_material(self.layer, f"{path}/material", coefficients)
             for index, (part, position, orientation) in enumerate(simple_shapes(shape)):
-                prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation, self._time)
+                time = self._frame.time_of(row)
+                prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation, time)
                 if moves(part):
-                    self._write(prim, drawn_surface(part))
+                    self._write(prim, drawn_surface(part), row)
                 set_relationship(prim, "material:binding:physics", f"{path}/material")
                 if separate:
                     set_attribute(prim, "purpose", Sdf.ValueTypeNames.Token, "guide", uniform=True)

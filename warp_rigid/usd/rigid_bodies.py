@@ -68,7 +68,7 @@ class Bodies:
                 prim.SetInfo("displayName", body.name)
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
             coefficients = {name: float(start[name][self._row, index]) for name in COEFFICIENTS}
-            path = library.collider(body.shape, coefficients)
+            path = library.collider(body.shape, row, coefficients)
             look = looks.get(index)
             if self._color in CONSTANT_COLORINGS or (look and look.image):
                 path = library.painted(path, self._colors[index], look)

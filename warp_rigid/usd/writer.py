@@ -175,13 +175,16 @@ class UsdWriter:
         define_look(self._root, WORLD, bool(self._film.looks))
         self._camera = CameraWriter(self._root, f"{WORLD}/Camera", self._film, int(self._rows[0]), frame)
         images = ImagePaths(Path(self._root.realPath), self._path, self._is_package)
-        self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time, images)
+        courses: dict[bytes, int] = {}
+        rows = self._rows.tolist()
+        alike = {row: courses.setdefault(self._film.times_of(row).tobytes(), row) for row in rows}
+        self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame, alike, images)
         self._writers = [self._library, self._camera]
         if self._profile == "animation":
             for index, surface in enumerate(self._film.surfaces):
                 self._library.mesh(index, surface)
         shared = SampleWriter(base)
-        for row in self._rows.tolist():
+        for row in rows:
             name = f"env_{self._film.envs[row]:04d}"
             samples = SampleWriter(self._new_part(name, name)) if separate else shared
             self._define_env(samples, row, f"/{name}" if separate else f"{WORLD}/{name}", frame)
