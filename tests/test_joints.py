@@ -316,6 +316,8 @@ def test_bad_values_are_rejected_and_change_nothing(device):
     for name, value, text in (
         ("joint_position", 1.0, "name: must be a quantity that can be set, got 'joint_position'; did you mean "),
         ("joint_lower", 2.0, "joint_lower: the lower limit must be at most the upper one"),
+        ("joint_lower", np.inf, "joint_lower: must be finite numbers or -inf, got inf"),
+        ("joint_upper", -np.inf, "joint_upper: must be finite numbers or inf, got -inf"),
         ("joint_damping", -1.0, "joint_damping: must be finite numbers >= 0"),
         ("joint_target_position", np.inf, "joint_target_position: must be finite numbers"),
         ("joint_broken", 1, "joint_broken: must be True or False, got 1"),
@@ -334,7 +336,7 @@ LACKED = [
      "joint_upper, joint_damping, joint_break_force, joint_break_torque, joint_broken"),
     (wr.SphericalJoint(), "joint_max_force", np.inf,
      "joint_upper, joint_damping, joint_break_force, joint_break_torque, joint_broken"),
-    (wr.DistanceJoint(0.0, 1.0), "joint_friction", 0,
+    (wr.DistanceJoint(0.0, 1.0), "joint_friction", 0.0,
      "joint_lower, joint_upper, joint_break_force, joint_break_torque, joint_broken"),
 ]  # fmt: skip
 
@@ -357,6 +359,19 @@ def test_a_joint_refuses_a_value_that_its_kind_cannot_have(joint, name, none, kn
     assert result.rows[0]["status"] == "ok"
     with pytest.raises(ValueError, match=f"{name}: must be {none:g} for first"):
         wr.sweep(scene, {f"{name}[first]": [3.0]}, duration=0.01, metrics=[], device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("joint", "name"),
+    [(wr.SphericalJoint(1.0), "joint_upper"), (wr.DistanceJoint(0.0, 1.0), "joint_lower")],
+)
+def test_a_limit_of_an_angle_between_axes_or_of_a_distance_is_not_negative(joint, name):
+    sim = simulator(add(joint, name="first")[0], "cpu")
+    with pytest.raises(ValueError, match=f"^{name}: must be >= 0 for first, a {type(joint).__name__}, got -0.5$"):
+        sim.set(name, -0.5)
+    sim.set("joint_lower", -np.inf)
+    sim.set(name, 0.5)
+    assert sim.get(name)[0, 0] == 0.5
 
 
 def test_a_saved_simulation_continues_bit_for_bit(device, tmp_path):

@@ -19,12 +19,12 @@ WRITABLE = (*NUMBERS, "joint_broken")
 DERIVED = ("joint_position", "joint_velocity", "joint_force")
 READABLE = (*DERIVED, *WRITABLE)
 
-INFINITE = ("joint_lower", "joint_upper", "joint_max_force", "joint_break_force", "joint_break_torque")
 NEGATIVE = ("joint_lower", "joint_upper", "joint_target_position", "joint_target_velocity")
-"""Names whose values may be infinite, and negative."""
+"""Names whose values may be negative."""
 
-NONE = {"joint_lower": -np.inf} | dict.fromkeys(INFINITE[1:], np.inf)
-"""Values without an effect; others are 0."""
+WITHOUT = ("joint_upper", "joint_max_force", "joint_break_force", "joint_break_torque")
+NONE = {"joint_lower": -np.inf} | dict.fromkeys(WITHOUT, np.inf)
+"""The infinite values that numbers may have, which have no effect; of the others 0 has none."""
 
 SAME_ORIENTATION = 1.0 - 1e-6
 """Two orientations whose quaternions have a larger scalar product differ by rounding errors."""
@@ -56,7 +56,7 @@ def check(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
         return flags(name, value, shape)
     values = numbers_of_shape(name, value, shape)
     if ((np.abs(values) > LARGEST) & np.isfinite(values)).any():
-        raise ValueError(f"{name}: must be up to {LARGEST:g}{' or infinite' if name in INFINITE else ''}")
+        raise ValueError(f"{name}: must be up to {LARGEST:g}{' or infinite' if name in NONE else ''}")
     return values.astype(np.float32)
 
 
@@ -66,11 +66,11 @@ def check_range(name: str, values: np.ndarray) -> None:
     Raises:
         ValueError: one of them is out of its range.
     """
-    allowed = ~np.isnan(values) if name in INFINITE else np.isfinite(values)
+    allowed = np.isfinite(values) | (values == NONE.get(name))
     if name not in NEGATIVE:
         allowed &= values >= 0.0
-    kind = "numbers" if name in NEGATIVE else "numbers >= 0"
-    refuse_others(name, values, allowed, kind if name in INFINITE else f"finite {kind}")
+    kind = "finite numbers" if name in NEGATIVE else "finite numbers >= 0"
+    refuse_others(name, values, allowed, f"{kind} or {NONE[name]:g}" if name in NONE else kind)
 
 
 def can_have(entry: JointEntry, name: str) -> bool:
@@ -78,23 +78,25 @@ def can_have(entry: JointEntry, name: str) -> bool:
     return name not in NUMBERS or NUMBERS[name] in NUMBERS_OF_KIND[entry.joint.coordinate]
 
 
-def refuse_lacked(name: str, entries: Sequence[JointEntry], values: Any) -> None:
-    """Refuse values that joints cannot have.
+def check_of_joints(name: str, entries: Sequence[JointEntry], values: Any) -> None:
+    """Check whether joints can have values; that without an effect is allowed.
 
     Args:
         name: the quantity.
         entries: the joints.
-        values: one, or one for each joint; the value without an effect is allowed.
+        values: one, or one for each joint.
 
     Raises:
         ValueError: one of the joints cannot have its value.
     """
     none = NONE.get(name, 0.0)
     for entry, value in zip(entries, np.broadcast_to(values, len(entries)), strict=True):
+        kind = type(entry.joint).__name__
         if value != none and not can_have(entry, name):
             known = ", ".join([*(own for own in NUMBERS if can_have(entry, own)), "joint_broken"])
-            kind = type(entry.joint).__name__
             raise ValueError(f"{name}: must be {none:g} for {entry.name}: a {kind} can have {known}")
+        if value < 0.0 and value != none and entry.joint.coordinate in (Coordinate.CONE, Coordinate.LENGTH):
+            raise ValueError(f"{name}: must be >= 0 for {entry.name}, a {kind}, got {value:g}")
 
 
 def write(world: World, name: str, value: Any, rows: np.ndarray, of_all: bool) -> None:
@@ -119,10 +121,12 @@ def write(world: World, name: str, value: Any, rows: np.ndarray, of_all: bool) -
             shard.pools.forget_graph()
         world.model.joints.broken.assign(host)
         return
-    entries, source = _entries(world)
-    able = np.array([can_have(entry, name) for entry in entries])[source[rows]]
-    if not (of_all and able.any()):
-        refuse_lacked(name, [entries[index] for index in source[rows]], values)
+    kinds = [kind for kind, numbers in NUMBERS_OF_KIND.items() if NUMBERS[name] in numbers]
+    able = np.isin(_array(world, "coordinate")[rows], kinds)
+    doubtful = np.where(able, values < 0.0, not (of_all and able.any()))
+    if doubtful.any():
+        entries, source = _entries(world)
+        check_of_joints(name, [entries[index] for index in source[rows[doubtful]]], values[doubtful])
     host = _array(world, "numbers")
     host[rows[able], NUMBERS[name]] = values[able]
     if (host[:, JointNumber.LOWER] > host[:, JointNumber.UPPER]).any():

@@ -269,7 +269,7 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
     chosen = [] if plain == "gravity" else selected(scene, name)
     if plain in joint_quantities.WRITABLE:
         joint_quantities.check_range(plain, joint_quantities.check(plain, value, ()))
-        joint_quantities.refuse_lacked(plain, [scene.joints[index] for index in chosen], value)
+        joint_quantities.check_of_joints(plain, [scene.joints[index] for index in chosen], value)
     elif plain in COEFFICIENTS:
         number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
