@@ -33,14 +33,14 @@ def drift(scene, dt, move=None, settle=0.0, time=10.0):
     return np.abs(places_on(sim) - start).max()
 
 
-def add_riders(scene, radii, spin, stack=1, friction=FRICTION):
+def add_riders(scene, radii, spin, stack=1, friction=FRICTION, center=(0, 0, 0)):
     """Boxes, or stacks of them, that move with a table."""
     for k, radius in enumerate(radii):
         way = np.array([np.cos(k), np.sin(k), 0])
         for level in range(stack):
             scene.add_body(
                 Box((HALF,) * 3),
-                position=radius * way + (0, 0, HALF * (1 + 2 * level)),
+                position=radius * way + center + (0, 0, HALF * (1 + 2 * level)),
                 linear_velocity=spin * radius * np.array([-way[1], way[0], 0]),
                 angular_velocity=(0, 0, spin),
                 friction=friction,
@@ -54,6 +54,25 @@ def test_boxes_stay_on_a_turntable(dt):
     scene.add_kinematic(TABLE, position=(0, 0, -0.05), angular_velocity=(0, 0, SPIN), friction=FRICTION)
     add_riders(scene, (0.2, 0.4, 0.6, 0.9), SPIN)
     assert drift(scene, dt) < 1e-4
+
+
+@STEPS
+def test_boxes_stay_on_a_surface_that_turns(dt):
+    """Two boxes go round on a turntable at rest whose surface turns, about a place that its velocity determines."""
+    scene, middle = Scene(), np.array([0.1, 0, 0])
+    scene.add_static(
+        TABLE,
+        position=(0, 0, -0.05),
+        surface_velocity=(0, -SPIN * middle[0], 0),
+        surface_angular_velocity=(0, 0, SPIN),
+        friction=FRICTION,
+    )
+    add_riders(scene, (0.3, 0.7), SPIN, center=middle)
+    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    sim.step(round(10.0 / dt))
+    radii = np.linalg.norm(sim.get("position")[0, 1:, :2] - middle[:2], axis=1)
+    np.testing.assert_allclose(radii, (0.3, 0.7), atol=2e-4)
+    assert sim.get("angular_velocity")[0, 1:, 2] == pytest.approx(SPIN, rel=1e-3)
 
 
 def test_stacks_of_three_stay_on_a_turntable():

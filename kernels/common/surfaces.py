@@ -2,7 +2,9 @@
 
 import warp as wp
 
-from warp_rigid.kernels.schema import Bodies, State
+from warp_rigid.kernels.common.symmetry import chord_velocity
+from warp_rigid.kernels.schema import Bodies, Motions, State
+from warp_rigid.kernels.tuning import CARRIED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,10 +24,30 @@ def running_velocity(b: int, x: wp.vec3, bodies: Bodies, state: State):
 
 
 @wp.func
-def tangential_running(a: int, b: int, x: wp.vec3, normal: wp.vec3, bodies: Bodies, state: State):
-    """Velocity with which the first body's surface runs relative to the second's, in the tangent plane [m/s].
+def carried_share(b: int, spin: wp.vec3, motions: Motions):
+    """Degree to which a body turns with a spin, and is carried around by what has this spin, 0 to 1."""
+    turning = wp.dot(motions.solver_bodies[b].angular, spin) / wp.max(wp.length_sq(spin), 1.0e-30)
+    return wp.clamp(turning / CARRIED, 0.0, 1.0)
 
-    A surface runs along itself: the part along the normal would open or close gaps.
+
+@wp.func
+def running_chord(carrier: int, b: int, dt: float, bodies: Bodies, state: State, motions: Motions):
+    """Velocity of the centre of a body along the chord on which a surface turns it, less that of the tangent [m/s]."""
+    turn = state.orientation[carrier]
+    spin = wp.quat_rotate(turn, bodies.surface_angular_velocity[carrier])
+    way = wp.cross(spin, wp.quat_rotate(turn, bodies.surface_velocity[carrier]))
+    middle = state.position[carrier] + way / wp.max(wp.length_sq(spin), 1.0e-30)
+    return carried_share(b, spin, motions) * chord_velocity(spin, motions.center[b] - middle, dt)
+
+
+@wp.func
+def tangential_running(
+    a: int, b: int, x: wp.vec3, normal: wp.vec3, dt: float, bodies: Bodies, state: State, motions: Motions
+):
+    """Mean velocity with which the first body's surface runs relative to the second's in a step, in the tangent plane.
+
+    A surface runs along itself: the part along the normal would open or close gaps [m/s].
     """
     v = running_velocity(a, x, bodies, state) - running_velocity(b, x, bodies, state)
+    v += running_chord(a, b, dt, bodies, state, motions) - running_chord(b, a, dt, bodies, state, motions)
     return v - wp.dot(v, normal) * normal

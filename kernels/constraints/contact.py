@@ -18,12 +18,12 @@ from warp_rigid.kernels.common.solver_body import (
     with_angular_impulse,
     with_impulse,
 )
+from warp_rigid.kernels.common.surfaces import carried_share
 from warp_rigid.kernels.common.symmetry import chord_velocity, spin_of_surface
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, ContactRecord, Contacts, ImpulseRecord, Motions, Shapes, State
-from warp_rigid.kernels.tuning import CARRIED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -93,9 +93,7 @@ def chord_of_carried(
     spin = motions.solver_bodies[carrier].angular
     of_surface = chord_velocity(spin_of_surface(carrier, spin, shapes, bodies, state), away, dt)
     of_material = chord_velocity(spin, away, dt) - of_surface
-    turning = wp.dot(motions.solver_bodies[b].angular, spin) / wp.max(wp.length_sq(spin), 1.0e-30)
-    share = wp.clamp(turning / CARRIED, 0.0, 1.0)
-    return of_surface + share * (of_material - wp.dot(of_material, normal) * normal)
+    return of_surface + carried_share(b, spin, motions) * (of_material - wp.dot(of_material, normal) * normal)
 
 
 @wp.func

@@ -102,7 +102,7 @@ def wanted_speed(
     # solver has changed of the chord of a carried body lies in the plane of the contact.
     row.surface -= carrier_velocity(a, b, row.normal, dt, shapes, bodies, state, motions)
     if wp.length_sq(row.surface) > 0.0:
-        row.surface -= tangential_running(a, b, contacts.position[c], row.normal, bodies, state)
+        row.surface -= tangential_running(a, b, contacts.position[c], row.normal, dt, bodies, state, motions)
     size = smaller_size(a, b, shapes, bodies)
     pair = load_bodies(a, b, 0.0, 0.0, motions)
     turn_a = turn_of_surface(a, pair.angular_a, dt, shapes, bodies, state)

@@ -115,7 +115,7 @@ def set_surface_velocity(
     earlier = before * envs.collision_first[bodies.env[a]]
     v = ground_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)
     v -= ground_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
-    v += tangential_running(a, b, x, contacts.rows[c].normal, bodies, state)
+    v += tangential_running(a, b, x, contacts.rows[c].normal, dt, bodies, state, motions)
     contacts.rows[c].surface = v + carrier_velocity(a, b, contacts.rows[c].normal, dt, shapes, bodies, state, motions)
     if wp.length_sq(v) > 0.0:
         contacts.rows[c].more = 1.0
