@@ -1,5 +1,7 @@
 """The simulator's surface: reading and writing, reset, batches, growing pools, failures, and clear errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -106,6 +108,15 @@ def test_mass_takes_the_inertia_along(device):
     box = scene.bodies[2].shape
     np.testing.assert_allclose(sim.get("inertia")[1, 2], 5.0 / box.volume * box.inertia, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(sim.get("inertia")[0, 2], before[0, 2])
+
+
+def test_a_mass_that_is_set_is_that_of_a_scene(device):
+    """Bit for bit: a sweep over masses has the results of scenes with these masses."""
+    scene = small_scene()
+    scene.bodies[2] = replace(scene.bodies[2], mass=2.37)
+    sim = Simulator(small_scene(), device=device)
+    sim.set("mass", 2.37, bodies=[2])
+    assert sim.get("inertia").tobytes() == Simulator(scene, device=device).get("inertia").tobytes()
 
 
 @pytest.mark.parametrize("name", PER_ENVIRONMENT)

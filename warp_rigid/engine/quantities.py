@@ -345,6 +345,7 @@ def assign_rows(array: wp.array, values: Any, rows: np.ndarray) -> None:
 def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:
     present = existing(rows)
     new, targets = _broadcast("mass", value, rows.shape, present)[present], rows[present]
+    exact = numbers_of_shape("mass", value, rows.shape)[present].astype(np.float64)  # as in a scene
     source, layout = world.layout.source[targets], world.layout
     for index in np.unique(source).tolist():
         for mass in (new[source == index].min(), new[source == index].max()):
@@ -353,7 +354,7 @@ def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:
     hosts = {name: getattr(world.model.bodies, name).numpy() for name in MASS_NAMES}
     for index in np.unique(source).tolist():
         own = source == index
-        for name, values in mass_arrays(layout.scene_bodies[index].shape, new[own].astype(np.float64)).items():
+        for name, values in mass_arrays(layout.scene_bodies[index].shape, exact[own]).items():
             hosts[name][targets[own]] = values
     for name, host in hosts.items():
         getattr(world.model.bodies, name).assign(host)
