@@ -75,6 +75,25 @@ def test_boxes_stay_on_a_surface_that_turns(dt):
     assert sim.get("angular_velocity")[0, 1:, 2] == pytest.approx(SPIN, rel=1e-3)
 
 
+@pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
+@pytest.mark.parametrize("kind", ["round", "square", "running"])
+def test_a_ball_on_a_turntable_rolls_on_a_circle(dt, kind):
+    """With 2/7 of its angular velocity, and constant speed."""
+    scene, spin = Scene(), (0, 0, 3.0)
+    if kind == "running":
+        scene.add_static(Cylinder(20, 0.05), position=(0, 0, -0.05), surface_angular_velocity=spin, friction=1.0)
+    else:
+        table = Cylinder(20, 0.05) if kind == "round" else Box((20, 20, 0.05))
+        scene.add_kinematic(table, position=(0, 0, -0.05), angular_velocity=spin, friction=1.0)
+    scene.add_body(
+        Sphere(0.1), position=(0, 0, 0.1), linear_velocity=(0.5, 0, 0), angular_velocity=(0, 5, 0), friction=1.0
+    )
+    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    sim.step(round(5 * 7 / 2 * 2 * np.pi / 3.0 / dt))
+    assert np.linalg.norm(sim.get("linear_velocity")[0, 1]) == pytest.approx(0.5, rel=1e-3)
+    np.testing.assert_allclose(sim.get("position")[0, 1], (0, 0, 0.1), atol=0.02)
+
+
 def test_stacks_of_three_stay_on_a_turntable():
     """They topple where omega^2 r exceeds g / 3, 0.82 m from the axis."""
     scene = Scene()

@@ -31,13 +31,25 @@ def carried_share(b: int, spin: wp.vec3, motions: Motions):
 
 
 @wp.func
-def running_chord(carrier: int, b: int, dt: float, bodies: Bodies, state: State, motions: Motions):
-    """Velocity of the centre of a body along the chord on which a surface turns it, less that of the tangent [m/s]."""
+def along_own_way(carrier: int, b: int, spin: wp.vec3, normal: wp.vec3, dt: float, motions: Motions):
+    """Mean velocity of a surface with a spin below a body that moves over it, less that below it at the start [m/s]."""
+    way = 0.5 * dt * (motions.solver_bodies[b].linear - motions.solver_bodies[carrier].linear)
+    return wp.dot(spin, normal) * wp.cross(normal, way)
+
+
+@wp.func
+def running_chord(carrier: int, b: int, normal: wp.vec3, dt: float, bodies: Bodies, state: State, motions: Motions):
+    """Mean velocity of a surface that turns below a body in a step, less that at its start [m/s].
+
+    A body that turns with the surface moves along a chord, another one, such as a ball, on its own way.
+    """
     turn = state.orientation[carrier]
     spin = wp.quat_rotate(turn, bodies.surface_angular_velocity[carrier])
     way = wp.cross(spin, wp.quat_rotate(turn, bodies.surface_velocity[carrier]))
     middle = state.position[carrier] + way / wp.max(wp.length_sq(spin), 1.0e-30)
-    return carried_share(b, spin, motions) * chord_velocity(spin, motions.center[b] - middle, dt)
+    share = carried_share(b, spin, motions)
+    chord = chord_velocity(spin, motions.center[b] - middle, dt)
+    return share * chord + (1.0 - share) * along_own_way(carrier, b, spin, normal, dt, motions)
 
 
 @wp.func
@@ -49,5 +61,6 @@ def tangential_running(
     A surface runs along itself: the part along the normal would open or close gaps [m/s].
     """
     v = running_velocity(a, x, bodies, state) - running_velocity(b, x, bodies, state)
-    v += running_chord(a, b, dt, bodies, state, motions) - running_chord(b, a, dt, bodies, state, motions)
+    v += running_chord(a, b, normal, dt, bodies, state, motions)
+    v -= running_chord(b, a, normal, dt, bodies, state, motions)
     return v - wp.dot(v, normal) * normal

@@ -18,7 +18,7 @@ from warp_rigid.kernels.common.solver_body import (
     with_angular_impulse,
     with_impulse,
 )
-from warp_rigid.kernels.common.surfaces import carried_share
+from warp_rigid.kernels.common.surfaces import along_own_way, carried_share
 from warp_rigid.kernels.common.symmetry import chord_velocity, spin_of_surface
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
@@ -87,13 +87,17 @@ def chord_of_carried(
 
     A round carrier that spins about its axis moves its material, but not its surface, so that the chord counts in the
     plane of the contact only, and only for a body that turns with the carrier: a box on a turntable, not a plank on
-    rollers.
+    rollers. Other bodies, such as a ball on a turntable, move on their own way over what turns about the normal.
     """
     away = motions.center[b] - motions.center[carrier]
     spin = motions.solver_bodies[carrier].angular
-    of_surface = chord_velocity(spin_of_surface(carrier, spin, shapes, bodies, state), away, dt)
+    spin_of_its_surface = spin_of_surface(carrier, spin, shapes, bodies, state)
+    of_surface = chord_velocity(spin_of_its_surface, away, dt)
     of_material = chord_velocity(spin, away, dt) - of_surface
-    return of_surface + carried_share(b, spin, motions) * (of_material - wp.dot(of_material, normal) * normal)
+    about_normal = chord_velocity(wp.dot(spin_of_its_surface, normal) * normal, away, dt)
+    free = along_own_way(carrier, b, spin, normal, dt, motions) - about_normal
+    share = carried_share(b, spin, motions)
+    return of_surface + share * (of_material - wp.dot(of_material, normal) * normal) + (1.0 - share) * free
 
 
 @wp.func
