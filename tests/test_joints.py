@@ -55,6 +55,22 @@ def test_a_saturated_motor_speeds_up_evenly_and_then_keeps_its_speed(device):
     assert sim.get("joint_velocity")[0, 0] == pytest.approx(-1.0, rel=1e-4)
 
 
+@pytest.mark.parametrize("spin", [800.0, -1600.0, 3000.0])
+def test_angles_count_turns_of_more_than_half_in_a_step(spin, device):
+    """A rotor, and a wheel on it that does not turn in the world. Inactive, they stay where they are."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    rotor = scene.add_body(wr.Cylinder(0.1, 0.02), angular_velocity=(0, 0, spin))
+    wheel = scene.add_body(wr.Cylinder(0.1, 0.02), position=(0, 0, 0.1))
+    scene.add_joint(wr.RevoluteJoint((0, 0, 1)), rotor)
+    scene.add_joint(wr.RevoluteJoint((0, 0, 1)), wheel, rotor)
+    sim = simulator(scene, device)
+    sim.step(240)
+    np.testing.assert_allclose(sim.get("joint_position")[0], (spin, -spin), rtol=1e-3)
+    sim.set("active", False)
+    sim.step(240)
+    np.testing.assert_allclose(sim.get("joint_position")[0], (spin, -spin), rtol=1e-3)
+
+
 def test_friction_of_a_hinge_stops_it(device):
     sim = simulator(one_body(wr.RevoluteJoint((0, 0, 1), friction=0.1), angular_velocity=(0, 0, 4)), device)
     sim.step(120)

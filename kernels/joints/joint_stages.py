@@ -38,7 +38,7 @@ from warp_rigid.kernels.joints.mechanism import (
     take_poses,
 )
 from warp_rigid.kernels.joints.parts import move_in_parts
-from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose
+from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose, turn_in_step
 from warp_rigid.kernels.joints.push import push_touching
 from warp_rigid.kernels.joints.turns import choose_turns, solve_touching
 from warp_rigid.kernels.schema import (
@@ -546,7 +546,7 @@ def end_joints(dt: float, envs: Environments, bodies: Bodies, motions: Motions, 
 
 
 @wp.kernel
-def note_coordinates(lanes: int, state: State, joints: Joints):
+def note_coordinates(dt: float, lanes: int, state: State, motions: Motions, joints: Joints):
     """One team per mechanism, after the position update: its joints' coordinates; angles count full turns."""
     team = team_of(wp.tid(), lanes)
     m = team.env
@@ -555,7 +555,8 @@ def note_coordinates(lanes: int, state: State, joints: Joints):
     sync_team(team)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], lanes):
         j = joints.sequence[place]
-        joints.position[j] = float(coordinate_of(joints.coordinate[j], ends_of(j, joints), joints.position[j]))
+        near = joints.position[j] + turn_in_step(j, dt, state, motions, joints)
+        joints.position[j] = float(coordinate_of(joints.coordinate[j], ends_of(j, joints), near))
 
 
 @wp.func

@@ -119,6 +119,21 @@ def coordinate_of(coordinate: int, ends: Ends, near: float):
 
 
 @wp.func
+def turn_in_step(j: int, dt: float, state: State, motions: Motions, joints: Joints):
+    """Rotation of the first body of a joint relative to the second in a step with their velocities, about its axis.
+
+    An angle counts turns by it: the poses tell the angle but for full turns [rad].
+    """
+    a = joints.body_a[j]
+    b = joints.body_b[j]
+    moves = Role.FREE | Role.KINEMATIC
+    spin = wp.where((motions.role[a] & moves) != 0, state.angular_velocity[a], wp.vec3())
+    if joints.to_world[j] == 0 and (motions.role[b] & moves) != 0:
+        spin -= state.angular_velocity[b]
+    return dt * wp.dot(spin, wp.vec3(axis_of(ends_of(j, joints).turn_b)))
+
+
+@wp.func
 def errors_of(j: int, ends: Ends, joints: Joints):
     """Errors of the rows of a joint [m, rad], with its coordinate at its row."""
     coordinate = joints.coordinate[j]

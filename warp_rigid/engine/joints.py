@@ -268,7 +268,7 @@ class JointStages:
         if self.present:
             inputs = [self.dt, self._step.envs, self.bodies, self.motions]
             self._step.launch(self.kernels.end_joints, self._joints, inputs, [self.arrays, self.pools.graph])
-            self._per_mechanism(self.kernels.note_coordinates, [], [self.state], [self.arrays])
+            self._per_mechanism(self.kernels.note_coordinates, [self.dt], [self.state, self.motions], [self.arrays])
 
     def support(self) -> None:
         """Sleeping: islands that hang from the world are supported."""
