@@ -351,12 +351,12 @@ ContactRecord = packed_record(
         wp.vec3,
         "",
         "m/s",
-        "relative velocity of the surfaces beyond that of the bodies; 0 unless ground moves, a surface runs or a "
-        "carrier turns",
+        "relative velocity of the surfaces beyond that of the bodies; 0 unless these move, run or turn",
     ),
     rolling_friction=Field(float, "", "m", "rolling friction coefficient of the pair"),
     spinning_friction=Field(float, "", "m", "spinning friction coefficient of the pair"),
     restitution=Field(float, "", "", "coefficient of restitution of the pair"),
+    surface_spin=Field(float, "", "rad/s", "relative spin of running surfaces about the normal"),
 )
 
 ImpulseRecord = packed_record(

@@ -147,6 +147,19 @@ def test_a_turntable_takes_a_parcel_round(device):
     assert sim.get("angular_velocity")[0, 1, 2] == pytest.approx(1.0, rel=0.01)
 
 
+def test_a_turntable_turns_a_ball_by_spinning_friction(device):
+    """Its torque over the moment of inertia, then with the turntable; both at the axis and away from it."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(), surface_angular_velocity=(0, 0, 3), friction=1.0, spinning_friction=0.01)
+    for x in (0.0, 1.0):
+        scene.add_body(wr.Sphere(HALF), position=(x, 0, HALF), friction=1.0, spinning_friction=0.01)
+    sim = simulated(scene, device=device)
+    sim.step(24)
+    np.testing.assert_allclose(sim.get("angular_velocity")[0, 1:, 2], 0.1 * 0.01 * G / (0.4 * HALF**2), rtol=0.01)
+    sim.step(96)
+    np.testing.assert_allclose(sim.get("angular_velocity")[0, 1:, 2], 3.0, rtol=1e-4)
+
+
 def test_only_the_part_along_the_surface_counts(device):
     """A belt that "runs" upwards, and one that runs into a wall, neither lift nor sink what is on them."""
     scene = wr.Scene()

@@ -181,7 +181,7 @@ def test_a_group_is_written_alone(name, device, made):
         np.testing.assert_array_equal(found, expected)
 
 
-OPTIONAL = ("surface", "rolling_friction", "spinning_friction", "restitution")
+OPTIONAL = ("surface", "rolling_friction", "spinning_friction", "restitution", "surface_spin")
 
 
 @pytest.mark.parametrize("name", OPTIONAL)

@@ -16,6 +16,12 @@ def runs(b: int, bodies: Bodies):
 
 
 @wp.func
+def running_spin(b: int, bodies: Bodies, state: State):
+    """Angular velocity of a body's surface relative to the body, in the world frame [rad/s]."""
+    return wp.quat_rotate(state.orientation[b], bodies.surface_angular_velocity[b])
+
+
+@wp.func
 def running_velocity(b: int, x: wp.vec3, bodies: Bodies, state: State):
     """Velocity of a body's surface relative to the body, at a world point [m/s]."""
     turn = state.orientation[b]
@@ -43,9 +49,8 @@ def running_chord(carrier: int, b: int, normal: wp.vec3, dt: float, bodies: Bodi
 
     A body that turns with the surface moves along a chord, another one, such as a ball, on its own way.
     """
-    turn = state.orientation[carrier]
-    spin = wp.quat_rotate(turn, bodies.surface_angular_velocity[carrier])
-    way = wp.cross(spin, wp.quat_rotate(turn, bodies.surface_velocity[carrier]))
+    spin = running_spin(carrier, bodies, state)
+    way = wp.cross(spin, wp.quat_rotate(state.orientation[carrier], bodies.surface_velocity[carrier]))
     middle = state.position[carrier] + way / wp.max(wp.length_sq(spin), 1.0e-30)
     share = carried_share(b, spin, motions)
     chord = chord_velocity(spin, motions.center[b] - middle, dt)

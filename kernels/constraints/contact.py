@@ -152,7 +152,7 @@ def solve_rolling(c: int, normal_impulse: float, row: ContactRecord, pair: BodyP
     k = pair.inverse_inertia_a + pair.inverse_inertia_b
     old = impulse_of(c, ANGULAR_IMPULSE, contacts)
     limit = row.spinning_friction * normal_impulse
-    spin = wp.dot(pair.angular_a - pair.angular_b, n)
+    spin = wp.dot(pair.angular_a - pair.angular_b, n) + row.surface_spin
     about_normal = wp.clamp(old[0] - quotient(spin, wp.max(wp.dot(n, k * n), 1.0e-30)), -limit, limit)
     pair = with_angular_impulse((about_normal - old[0]) * n, pair)
     spins = pair.angular_a - pair.angular_b

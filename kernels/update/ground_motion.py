@@ -10,7 +10,7 @@ conveyor belt or a turntable runs in its tangent plane only, and does not change
 
 import warp as wp
 
-from warp_rigid.kernels.common.surfaces import runs, tangential_running
+from warp_rigid.kernels.common.surfaces import running_spin, runs, tangential_running
 from warp_rigid.kernels.constraints.contact import carrier_velocity
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Contacts, Environments, Motions, Pairs, Shapes, State, Surfaces
@@ -117,5 +117,7 @@ def set_surface_velocity(
     v -= ground_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
     v += tangential_running(a, b, x, contacts.rows[c].normal, dt, bodies, state, motions)
     contacts.rows[c].surface = v + carrier_velocity(a, b, contacts.rows[c].normal, dt, shapes, bodies, state, motions)
-    if wp.length_sq(v) > 0.0:
+    spin = wp.dot(running_spin(a, bodies, state) - running_spin(b, bodies, state), contacts.rows[c].normal)
+    contacts.rows[c].surface_spin = spin
+    if wp.length_sq(v) + wp.abs(spin) > 0.0:
         contacts.rows[c].more = 1.0
