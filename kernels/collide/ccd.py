@@ -17,8 +17,8 @@ import warp as wp
 from warp_rigid.kernels.collide.advancement import impact_of_solids
 from warp_rigid.kernels.collide.convex import are_solid
 from warp_rigid.kernels.collide.course import (
-    HOLDER,
     Course,
+    Lead,
     common_motion,
     common_share,
     course_of,
@@ -44,7 +44,7 @@ from warp_rigid.kernels.collide.trace import (
     trace_suspect,
 )
 from warp_rigid.kernels.common.capacity import usable_count
-from warp_rigid.kernels.common.symmetry import BALL, spin_of_surface, symmetry_of
+from warp_rigid.kernels.common.symmetry import Symmetry, spin_of_surface, symmetry_of
 from warp_rigid.kernels.common.team import MOST_REGISTERS, next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
@@ -299,9 +299,9 @@ def advance_solids(
             a = pairs.body_a[pair]
             b = pairs.body_b[pair]
             first, second = courses_of(pair, 0, shapes, bodies, state, motions, pairs)
-            if symmetry_of(a, shapes, bodies) == BALL:
+            if symmetry_of(a, shapes, bodies) == Symmetry.BALL:
                 first.angular = wp.vec3(0.0, 0.0, 0.0)
-            if symmetry_of(b, shapes, bodies) == BALL:
+            if symmetry_of(b, shapes, bodies) == Symmetry.BALL:
                 second.angular = wp.vec3(0.0, 0.0, 0.0)
             first.roll = first.angular - spin_of_surface(a, first.angular, shapes, bodies, state)
             size = traced_size(a, b, shapes, bodies)
@@ -477,7 +477,7 @@ def change_courses(
     """
     b = wp.tid()
     if motions.role[b] != Role.FREE and suspects.round[0] + 1 >= envs.impact_rounds[bodies.env[b]]:
-        motions.next_carried[b] = HOLDER
+        motions.next_carried[b] = Lead.HOLDER
     impact = motions.first_impact[b]
     motions.changed[b] = wp.where(impact == NEVER, 0, 1)
     if impact == NEVER:

@@ -1,5 +1,7 @@
 """State of the search for the contact point of a sample, and the steps that all of its stages share."""
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.collide.distance import FAR
@@ -25,7 +27,19 @@ distance is, as a fraction of the half-length."""
 FOUND = wp.constant(1.0e-4)
 """The search along an edge ends when the point moves by less than this fraction of the half-length."""
 
-DONE = wp.constant(-1)
+
+class SearchStage(IntEnum):
+    """Stages of the search of a sample, besides those of an edge. BALL_FIRST and SLIDE_END are counted on."""
+
+    DONE = -1
+    POINT_AGAIN = 1
+    RIM_FACING = 3
+    BALL_CENTER = 20
+    """Of a ball, also of one on the axis of a rod."""
+    BALL_FIRST = 21
+    BALL_LAST = 27
+    SLIDE_END = 30
+    SLIDE_LAST = 36
 
 
 @wp.struct
@@ -77,7 +91,7 @@ def gradient(d: wp.vec4):
 @wp.func
 def nowhere(search: Search):
     """End the search without a contact point."""
-    search.stage = DONE
+    search.stage = SearchStage.DONE
     search.distance = FAR
     return search
 

@@ -12,6 +12,8 @@ difference of inner points through the origin gives an axis that separates the s
 rays from the origin along the axis found last reduce the depth, until the face that is hit is perpendicular to the ray.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.collide.distance import FAR
@@ -31,18 +33,18 @@ PORTAL_ROUNDS = wp.constant(40)
 DESCENTS = wp.constant(8)
 """Maximum number of rays along which the depth is reduced."""
 
-PORTAL_RAY, PORTAL_SIDE, PORTAL_CONE, PORTAL_FACE, PORTAL_FOUND = (
-    wp.constant(0),
-    wp.constant(1),
-    wp.constant(2),
-    wp.constant(3),
-    wp.constant(4),
-)
-"""Stages of the search: the first, second and third point of the portal, its refinement, and its end."""
-
-
 HULL = wp.constant(-1)
 """Kind of a solid that is given by the vertices of a convex mesh."""
+
+
+class PortalStage(IntEnum):
+    """Stages of the search for a portal: its three points, its refinement, and its end."""
+
+    RAY = 0
+    SIDE = 1
+    CONE = 2
+    FACE = 3
+    FOUND = 4
 
 
 @wp.struct
@@ -239,19 +241,19 @@ def next_corner(portal: Portal, corner: Corner, ray: wp.vec3, flat: float):
     which the ray passes as well, until no point is further out.
     """
     v = corner.point
-    if portal.stage == PORTAL_RAY:
+    if portal.stage == PortalStage.RAY:
         portal.first = corner
         portal.normal = wp.cross(v, ray)
-        portal.stage = wp.where(wp.length_sq(portal.normal) > 0.0, PORTAL_SIDE, PORTAL_FOUND)
-    elif portal.stage == PORTAL_SIDE:
+        portal.stage = wp.where(wp.length_sq(portal.normal) > 0.0, PortalStage.SIDE, PortalStage.FOUND)
+    elif portal.stage == PortalStage.SIDE:
         portal.second = corner
         portal.normal = wp.cross(portal.first.point, v)
-        portal.stage = PORTAL_CONE
+        portal.stage = PortalStage.CONE
         if wp.dot(portal.normal, ray) < 0.0:
             portal.second = portal.first
             portal.first = corner
             portal.normal = -portal.normal
-    elif portal.stage == PORTAL_CONE:
+    elif portal.stage == PortalStage.CONE:
         if wp.dot(wp.cross(portal.first.point, v), ray) > 0.0:
             portal.second = corner
             portal.normal = wp.cross(portal.first.point, v)
@@ -260,9 +262,9 @@ def next_corner(portal: Portal, corner: Corner, ray: wp.vec3, flat: float):
             portal.normal = wp.cross(v, portal.second.point)
         else:
             portal.third = corner
-            portal.stage = PORTAL_FACE
+            portal.stage = PortalStage.FACE
     elif wp.dot(v - portal.first.point, portal.normal) <= flat:
-        portal.stage = PORTAL_FOUND
+        portal.stage = PortalStage.FOUND
     else:
         before = wp.dot(wp.cross(v, portal.first.point), ray) >= 0.0
         if before and wp.dot(wp.cross(v, portal.second.point), ray) <= 0.0:
@@ -271,7 +273,7 @@ def next_corner(portal: Portal, corner: Corner, ray: wp.vec3, flat: float):
             portal.second = corner
         else:
             portal.first = corner
-    if portal.stage == PORTAL_FACE:
+    if portal.stage == PortalStage.FACE:
         side = portal.second.point - portal.first.point
         portal.normal = wp.cross(side, portal.third.point - portal.first.point)
     return portal
@@ -282,10 +284,10 @@ def leave(solids: Solids, shapes: Shapes, start: wp.vec3, ray: wp.vec3, reach: f
     """The face through which a ray from a point inside D leaves it, or the first direction with a gap above `reach`."""
     inline_on_gpu()
     portal = Portal()
-    portal.stage = PORTAL_RAY
+    portal.stage = PortalStage.RAY
     portal.normal = ray
     rounds = int(0)
-    while portal.stage != PORTAL_FOUND and rounds < PORTAL_ROUNDS:
+    while portal.stage != PortalStage.FOUND and rounds < PORTAL_ROUNDS:
         n = unit_or(portal.normal, ray)
         portal.normal = n
         corner = difference(solids, shapes, n)

@@ -7,6 +7,8 @@ in the step would otherwise move it into the kinematic body. A kinematic body th
 does not turn others with it, as its surface stays in place.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.collide.convex import are_solid, gap_along, solids_of_shapes
@@ -29,11 +31,13 @@ STRAIGHT = wp.constant(1.0e-3)
 """Angle up to which the motion of a point with a rotating body counts as straight [rad]."""
 
 
-LEADER = wp.constant(2**20)
-"""The number of a kinematic body in `lead_of`; it is less by one for each body through which it carries another one."""
+class Lead(IntEnum):
+    """Numbers of bodies in `lead_of` that no other body carries; a body has one less than the one that carries it."""
 
-HOLDER = wp.constant(2**19)
-"""The number of an immovable body in the late rounds of impacts. Bodies that it holds have a smaller one."""
+    KINEMATIC = 2**20
+    """A kinematic body."""
+    HOLDER = 2**19
+    """An immovable body in the late rounds of impacts."""
 
 
 @wp.struct
@@ -134,13 +138,13 @@ def mean_velocity_at(p: wp.vec3, course: Course, duration: float):
 @wp.func
 def lead_of(b: int, motions: Motions):
     """Which body of a pair keeps its motion at an impact: the one with the larger number. Most bodies have 0."""
-    return wp.where(motions.role[b] == Role.KINEMATIC, LEADER, motions.carried[b])
+    return wp.where(motions.role[b] == Role.KINEMATIC, Lead.KINEMATIC, motions.carried[b])
 
 
 @wp.func
 def is_driven(a: int, b: int, motions: Motions):
     """Whether a kinematic body moves a pair, directly or through others."""
-    return wp.max(lead_of(a, motions), lead_of(b, motions)) > HOLDER
+    return wp.max(lead_of(a, motions), lead_of(b, motions)) > Lead.HOLDER
 
 
 @wp.func

@@ -1,12 +1,14 @@
 """Contact point search along the segment of an edge, or along an arc of a rim."""
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import (
     ASIDE,
-    DONE,
     FOUND,
     Search,
+    SearchStage,
     cross_faces,
     direction_at,
     flat_slope,
@@ -41,18 +43,19 @@ BESIDE = wp.constant(1.0e-3)
 """Offset from the point where an edge leaves a face at which the gradient is evaluated, as a fraction of the
 half-length."""
 
-EDGE_MIDDLE = wp.constant(0)
-EDGE_LOW = wp.constant(1)
-EDGE_HIGH = wp.constant(2)
-EDGE_INSIDE = wp.constant(3)
-EDGE_LAST_INSIDE = wp.constant(9)
-EDGE_CLAMPED = wp.constant(10)
-EDGE_FACING = wp.constant(11)
-EDGE_BEFORE = wp.constant(12)
-EDGE_AFTER = wp.constant(13)
 
-BALL_CENTER = wp.constant(20)
-"""First stage of the search of a ball, also of one on the axis of a rod."""
+class EdgeStage(IntEnum):
+    """Stages of the search along an edge."""
+
+    MIDDLE = 0
+    LOW = 1
+    HIGH = 2
+    INSIDE = 3
+    LAST_INSIDE = 9
+    CLAMPED = 10
+    FACING = 11
+    BEFORE = 12
+    AFTER = 13
 
 
 @wp.func
@@ -69,7 +72,7 @@ def edge_again(search: Search):
     search.crossing = 0
     search.left = search.first
     search.right = search.last
-    search.stage = EDGE_LOW
+    search.stage = EdgeStage.LOW
     return look_at(search, search.left)
 
 
@@ -123,7 +126,7 @@ def edge_has_ends(search: Search, convex: int):
         search.turning = -2.0 * flat
     elif wp.abs(search.slope_low) <= flat:
         search.turning = 2.0 * flat
-    search.stage = EDGE_INSIDE
+    search.stage = EdgeStage.INSIDE
     return next_inside(search, False)
 
 
@@ -146,14 +149,14 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
     if radius > 0.0 and (convex == 0 or search.crossing == 0):
         # The surface of a rod may be inside another one, and its axis outside of a grid.
         search.start = search.query
-        search.stage = BALL_CENTER
+        search.stage = SearchStage.BALL_CENTER
         return search
     if search.crossing == 1:
-        search.stage = EDGE_BEFORE
+        search.stage = EdgeStage.BEFORE
         search.query = place_on(search, search.t - ASIDE * search.half)
         return search
     search.facing = weight * search.normal
-    search.stage = EDGE_FACING
+    search.stage = EdgeStage.FACING
     search.query += to_flat_side(search)
     return search
 
@@ -172,7 +175,7 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
         fall = -search.slope_low
         rise = search.slope_high
     search = cross_faces(search, gradient(before), gradient(after), wp.max(rise, 0.0), wp.max(fall, 0.0))
-    search.stage = DONE
+    search.stage = SearchStage.DONE
     search.distance -= radius
     search.query = place_on(search, search.t) - radius * search.direction
     return search
@@ -183,7 +186,7 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     """One more round of the search between the ends of an edge segment, or its end."""
     search.distance = d[3]
     search.direction = gradient(d)
-    if search.stage == EDGE_CLAMPED:
+    if search.stage == EdgeStage.CLAMPED:
         return edge_found(search, radius, convex, weight)
     before = search.t
     after = narrowed(search, d, search.turning)
@@ -192,13 +195,13 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     if found and is_doubtful(search, before, convex):
         after = look_beside(search, before)
         found = False
-    if search.stage < EDGE_LAST_INSIDE and not found:
+    if search.stage < EdgeStage.LAST_INSIDE and not found:
         after.stage = search.stage + 1
         return after
     if wp.abs(before) > BEYOND * search.half:
         return nowhere(search)
     if wp.abs(before) > search.half:
-        search.stage = EDGE_CLAMPED
+        search.stage = EdgeStage.CLAMPED
         return look_at(search, wp.clamp(before, -search.half, search.half))
     return edge_found(search, radius, convex, weight)
 
@@ -213,39 +216,39 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
     cross, where the distance is V-shaped. Neighbouring segments overlap slightly, so that there are no gaps between
     them.
     """
-    if search.stage == EDGE_MIDDLE:
+    if search.stage == EdgeStage.MIDDLE:
         if d[3] > OVERLAP * search.half + reach + radius:
             return nowhere(search)
         search.before = d
-        search.stage = EDGE_LOW
+        search.stage = EdgeStage.LOW
         return look_at(search, search.left)
-    if search.stage == EDGE_LOW:
+    if search.stage == EdgeStage.LOW:
         search.low = d
-        search.stage = EDGE_HIGH
+        search.stage = EdgeStage.HIGH
         return look_at(search, search.right)
-    if search.stage == EDGE_HIGH:
+    if search.stage == EdgeStage.HIGH:
         search.high = d
         deepest = wp.where(d[3] < search.low[3], d, search.low)
         search = edge_has_ends(search, convex)
-        if search.stage == DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
+        if search.stage == SearchStage.DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
             return edge_again(search)
-        if search.stage == EDGE_INSIDE and stays_above(search, reach + radius, convex):
+        if search.stage == EdgeStage.INSIDE and stays_above(search, reach + radius, convex):
             return nowhere(search)
         return search
-    if search.stage == EDGE_BEFORE:
+    if search.stage == EdgeStage.BEFORE:
         search.before = d
-        search.stage = EDGE_AFTER
+        search.stage = EdgeStage.AFTER
         search.query = place_on(search, search.t + ASIDE * search.half)
         return search
-    if search.stage == EDGE_AFTER:
+    if search.stage == EdgeStage.AFTER:
         search = edge_crossed(search, search.before, d, radius)
         if came_elsewhere(search, search.distance, search.direction, size, weight):
             search = edge_again(search)
         return search
-    if search.stage == EDGE_FACING:
+    if search.stage == EdgeStage.FACING:
         if d[3] < search.distance - BORDER * size:
             return nowhere(search)
-        search.stage = DONE
+        search.stage = SearchStage.DONE
         search.query -= to_flat_side(search)
         search.direction = gradient(d)
         search.distance = d[3]

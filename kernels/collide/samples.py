@@ -11,7 +11,7 @@ import math
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach
-from warp_rigid.kernels.collide.contact_search import DONE, Search, gradient, is_segment, look_at, nowhere
+from warp_rigid.kernels.collide.contact_search import Search, SearchStage, gradient, is_segment, look_at, nowhere
 from warp_rigid.kernels.collide.distance import (
     BORDER,
     FAR,
@@ -20,14 +20,8 @@ from warp_rigid.kernels.collide.distance import (
     direction_or_up,
     has_places,
 )
-from warp_rigid.kernels.collide.edge_search import (
-    BALL_CENTER,
-    EDGE_LOW,
-    OPPOSED,
-    OVERLAP,
-    edge_next,
-)
-from warp_rigid.kernels.collide.slide import SLIDE_END, begin_slides, may_slide, next_slide, slide_next
+from warp_rigid.kernels.collide.edge_search import OPPOSED, OVERLAP, EdgeStage, edge_next
+from warp_rigid.kernels.collide.slide import begin_slides, may_slide, next_slide, slide_next
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import RIM_ARCS, SampleRecord, Shapes
 from warp_rigid.kernels.shape_arrays import read_sample
@@ -50,20 +44,12 @@ PARALLEL = wp.constant(1.0e-3)
 HALF_ARC = wp.constant(math.pi / RIM_ARCS)
 """Angle from the middle of an arc to its ends [rad]."""
 
-RIM_LAST_TURN = wp.constant(2)
-RIM_FACING = wp.constant(3)
-
-POINT_AGAIN = wp.constant(1)
-
-BALL_FIRST = wp.constant(21)
-BALL_LAST = wp.constant(27)
-
 
 @wp.func
 def rim_next(search: Search, d: wp.vec4, radius: float, load: wp.vec3, weight: float):
     """The deepest point of a circle about `along`; where it lies flat, that to which a load points, or none."""
-    if search.stage == RIM_FACING:
-        search.stage = DONE
+    if search.stage == SearchStage.RIM_FACING:
+        search.stage = SearchStage.DONE
         search.direction = gradient(d)
         search.distance = d[3]
         return search
@@ -77,7 +63,7 @@ def rim_next(search: Search, d: wp.vec4, radius: float, load: wp.vec3, weight: f
         return nowhere(search)
     search.query = search.start + radius * wp.normalize(down)
     search.stage += 1
-    if search.stage > RIM_LAST_TURN:
+    if search.stage == SearchStage.RIM_FACING:
         # Halfway between side and cap, as at a box's corner: either face may be in contact.
         search.normal = wp.normalize((search.query - search.start) / radius + search.along)
         search.facing = weight * search.normal
@@ -93,17 +79,17 @@ def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int
     width of the shape. Corners and edges of the shape need no search, as their own samples find the sphere. A sphere
     whose centre is inside needs none either: beyond the middle of the shape, the descent would end at its far side.
     """
-    if search.stage == BALL_CENTER:
+    if search.stage == SearchStage.BALL_CENTER:
         search.direction = gradient(d)
         search.distance = d[3] - radius
         search.along = gradient(d)
         search.half = wp.min(size / radius, 1.0)
         search.t = search.half
         search.query = search.start - radius * search.along
-        search.stage = wp.where(exact == 1 or d[3] < 0.0, DONE, BALL_FIRST)
+        search.stage = wp.where(exact == 1 or d[3] < 0.0, SearchStage.DONE, SearchStage.BALL_FIRST)
         return search
-    if search.stage == BALL_FIRST or d[3] < search.distance:
-        if search.stage > BALL_FIRST:
+    if search.stage == SearchStage.BALL_FIRST or d[3] < search.distance:
+        if search.stage > SearchStage.BALL_FIRST:
             search.along = search.way
             search.t = wp.min(2.0 * search.t, search.half)
         search.direction = gradient(d)
@@ -111,10 +97,10 @@ def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int
     else:
         search.t *= 0.5
     search.way = direction_or_up((1.0 - search.t) * search.along + search.t * search.direction)
-    if search.stage == BALL_LAST:
+    if search.stage == SearchStage.BALL_LAST:
         search.way = search.along
     search.query = search.start - radius * search.way
-    search.stage = wp.where(search.stage == BALL_LAST, DONE, search.stage + 1)
+    search.stage = wp.where(search.stage == SearchStage.BALL_LAST, SearchStage.DONE, search.stage + 1)
     return search
 
 
@@ -125,17 +111,17 @@ def point_next(search: Search, d: wp.vec4, size: float, flat: int, thin: int):
     Near an edge, a flat point may lie behind a face that it does not oppose, far from one that it does. If a thin part
     of a mesh has entered slightly, the points on its other side oppose only distant faces. Both are rejected.
     """
-    if search.stage == POINT_AGAIN:
+    if search.stage == SearchStage.POINT_AGAIN:
         deepest = wp.where(flat == 1, 2.0 * d[3] - BORDER * size, MUCH_DEEPER * d[3] - DEEPER * size)
         if search.distance < deepest:
             return nowhere(search)
-        search.stage = DONE
+        search.stage = SearchStage.DONE
         return search
     search.direction = gradient(d)
     search.distance = d[3]
-    search.stage = DONE
+    search.stage = SearchStage.DONE
     if flat + thin > 0 and d[3] < -BORDER * size:
-        search.stage = POINT_AGAIN
+        search.stage = SearchStage.POINT_AGAIN
         search.facing = wp.vec3(0.0, 0.0, 0.0)
     return search
 
@@ -192,14 +178,14 @@ def begin_search(sample: SampleRecord, approach: Approach, weight: float, shapes
         search.left = search.first
         search.right = search.last
         if shapes.shapes[shape].convex == 1:
-            search.stage = EDGE_LOW
+            search.stage = EdgeStage.LOW
             search = look_at(search, search.left)
         elif sample.radius == 0.0:
             search = clip_to_grid(search, shapes, shape)
     elif kind == SampleKind.RIM:
         search.along = search.normal
     elif sample.radius > 0.0:
-        search.stage = BALL_CENTER
+        search.stage = SearchStage.BALL_CENTER
     else:
         search.facing = weight * search.normal
     return search
@@ -236,14 +222,14 @@ def bring_to_touch(s: int, approach: wp.ref[Approach], weight: float, shapes: wp
         if radius > 0.0:
             exact_below += ALL_OF_EDGE * search.half
     while search.stage >= 0:
-        to_place = corners and search.stage >= BALL_CENTER
+        to_place = corners and search.stage >= SearchStage.BALL_CENTER
         d = contact_distance(shapes, shape, search.query, search.facing, wp.where(to_place, -FAR, exact_below))
         if to_place:
             d = ball_distance_to_places(shapes, part, search.query, d, radius, approach.searched, choice)
         search.least = wp.min(search.least, d[3])
-        if search.stage >= SLIDE_END:
+        if search.stage >= SearchStage.SLIDE_END:
             search = slide_next(search, d, size, convex)
-        elif search.stage >= BALL_CENTER:
+        elif search.stage >= SearchStage.BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif edge:
             search = edge_next(search, d, approach.searched, radius, size, convex, weight)
@@ -251,9 +237,9 @@ def bring_to_touch(s: int, approach: wp.ref[Approach], weight: float, shapes: wp
             search = rim_next(search, d, radius, approach.load, weight)
         else:
             search = point_next(search, d, size, flat, thin)
-            if slides and search.stage == DONE and search.distance < FAR:
+            if slides and search.stage == SearchStage.DONE and search.distance < FAR:
                 search = begin_slides(search, weight)
-        if slides and search.stage == DONE and search.last > 0.0:
+        if slides and search.stage == SearchStage.DONE and search.last > 0.0:
             search = next_slide(search, s, approach.turn, size, shapes)
     return search
 

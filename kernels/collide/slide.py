@@ -8,9 +8,9 @@ edges on which the distance is least, to where it is.
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import (
-    DONE,
     FOUND,
     Search,
+    SearchStage,
     cross_faces,
     gradient,
     is_doubtful,
@@ -32,9 +32,6 @@ ENOUGH = wp.constant(2.0e-5)
 
 SAME_FACE = wp.constant(0.5)
 """Smallest cosine between the normals of two faces between which the normal of a crossing is mixed."""
-
-SLIDE_END = wp.constant(30)
-SLIDE_LAST = wp.constant(36)
 
 
 @wp.func
@@ -68,11 +65,11 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shape
             edge = along
     length = wp.length(edge)
     fall = NEARER_HALF * steepest
-    search.stage = DONE
+    search.stage = SearchStage.DONE
     search.query = search.way
     if fall <= ENOUGH * size or search.before[3] - fall > wp.min(search.distance, 0.0):
         return search
-    search.stage = SLIDE_END
+    search.stage = SearchStage.SLIDE_END
     search.last = steepest
     search.first = search.distance
     search.along = edge / length
@@ -87,7 +84,7 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shape
 @wp.func
 def end_slide(search: Search):
     """End the slide along an edge. A crossing that was found has the normal of both edges."""
-    search.stage = DONE
+    search.stage = SearchStage.DONE
     before = gradient(search.low)
     after = gradient(search.high)
     if search.distance < search.first and wp.dot(before, after) > SAME_FACE:
@@ -108,7 +105,7 @@ def may_fall_to(search: Search):
 @wp.func
 def slide_next(search: Search, d: wp.vec4, size: float, convex: int):
     """The least distance on the nearer half of an edge; none if the distance falls further on."""
-    if search.stage == SLIDE_END and slope(d, search.along) <= 0.0:
+    if search.stage == SearchStage.SLIDE_END and slope(d, search.along) <= 0.0:
         return end_slide(search)
     if d[3] < search.distance:
         search.distance = d[3]
@@ -120,7 +117,7 @@ def slide_next(search: Search, d: wp.vec4, size: float, convex: int):
     if found and is_doubtful(search, before, convex):
         search = look_beside(search, before)
         found = False
-    if search.stage == SLIDE_LAST or found:
+    if search.stage == SearchStage.SLIDE_LAST or found:
         return end_slide(search)
     search.stage += 1
     return search

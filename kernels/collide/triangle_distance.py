@@ -15,6 +15,8 @@ The sign is that of the angle-weighted pseudonormal of the nearest face, side or
 "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG 11(3), 2005).
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.common.branching import keep_branch
@@ -53,11 +55,6 @@ BESIDE_FACE = wp.constant(0.0025)
 """A sample counts as above a face up to this fraction of the smallest extent beyond the face's border, as with boxes
 (distance.py)."""
 
-LIKELY = wp.constant(0)
-ALL = wp.constant(1)
-LOOK_OPPOSING = wp.constant(2)
-LOOK_DONE = wp.constant(3)
-
 PLACES = wp.constant(BALL_PLACES)
 
 SAME_PLACE = wp.constant(0.94)
@@ -66,16 +63,29 @@ SAME_PLACE = wp.constant(0.94)
 ALONG_NORMAL = wp.constant(0.9999)
 """Squared cosine above which a direction counts as that of the normal."""
 
-ON_FACE = wp.constant(0)
-ON_SIDE = wp.constant(1)
-ON_CORNER = wp.constant(4)
+
+class Feature(IntEnum):
+    """Feature of a triangle: SIDE + k is the side from corner k to the next, CORNER + k is corner k."""
+
+    FACE = 0
+    SIDE = 1
+    CORNER = 4
+
+
+class Look(IntEnum):
+    """What is looked for: any triangle within the likely radius, any triangle, or one that opposes the sample."""
+
+    LIKELY = 0
+    ALL = 1
+    OPPOSING = 2
+    DONE = 3
 
 
 @wp.struct
 class Foot:
     """The point of a triangle nearest to a point.
 
-    `feature`: ON_FACE, ON_SIDE + k for the side from corner k to the next, or ON_CORNER + k.
+    `feature`: FACE, SIDE + k or CORNER + k.
     """
 
     offset: wp.vec3
@@ -143,35 +153,35 @@ def foot_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
     d1 = wp.dot(ab, p - a)
     d2 = wp.dot(ac, p - a)
     foot.offset = p - a
-    foot.feature = ON_CORNER
+    foot.feature = Feature.CORNER
     if d1 <= 0.0 and d2 <= 0.0:
         return foot
     d3 = wp.dot(ab, p - b)
     d4 = wp.dot(ac, p - b)
     if d3 >= 0.0 and d4 <= d3:
         foot.offset = p - b
-        foot.feature = ON_CORNER + 1
+        foot.feature = Feature.CORNER + 1
         return foot
     d5 = wp.dot(ab, p - c)
     d6 = wp.dot(ac, p - c)
     if d6 >= 0.0 and d5 <= d6:
         foot.offset = p - c
-        foot.feature = ON_CORNER + 2
+        foot.feature = Feature.CORNER + 2
         return foot
     start = a
     side = ab
-    foot.feature = ON_FACE
+    foot.feature = Feature.FACE
     if d1 * d4 - d3 * d2 <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        foot.feature = ON_SIDE
+        foot.feature = Feature.SIDE
     elif d5 * d2 - d1 * d6 <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        foot.feature = ON_SIDE + 2
+        foot.feature = Feature.SIDE + 2
         start = c
         side = a - c
     elif d3 * d6 - d5 * d4 <= 0.0 and d4 >= d3 and d5 >= d6:
-        foot.feature = ON_SIDE + 1
+        foot.feature = Feature.SIDE + 1
         start = b
         side = c - b
-    if foot.feature == ON_FACE:
+    if foot.feature == Feature.FACE:
         n = wp.normalize(wp.cross(ab, ac))
         foot.offset = wp.dot(p - a, n) * n
     else:
@@ -189,17 +199,17 @@ def box_gap_squared(p: wp.vec3, lower: wp.vec3, upper: wp.vec3):
 @wp.func
 def feature_normal(shapes: Shapes, triangle: int, feature: int):
     """Pseudonormal of a feature of a triangle."""
-    if feature == ON_FACE:
+    if feature == Feature.FACE:
         return face_normal(read_triangle(triangle, shapes.triangles))
-    if feature == ON_SIDE:
+    if feature == Feature.SIDE:
         return shapes.triangles[triangle].side_0
-    if feature == ON_SIDE + 1:
+    if feature == Feature.SIDE + 1:
         return shapes.triangles[triangle].side_1
-    if feature == ON_SIDE + 2:
+    if feature == Feature.SIDE + 2:
         return shapes.triangles[triangle].side_2
-    if feature == ON_CORNER:
+    if feature == Feature.CORNER:
         return shapes.triangles[triangle].vertex_0
-    if feature == ON_CORNER + 1:
+    if feature == Feature.CORNER + 1:
         return shapes.triangles[triangle].vertex_1
     return shapes.triangles[triangle].vertex_2
 
@@ -243,7 +253,7 @@ def border_width(shapes: Shapes, part: int):
 def is_opposed(normal: wp.vec3, facing: wp.vec3, feature: int):
     """Whether the normal of a feature opposes a sample, or there is no sample normal."""
     cosine = wp.dot(normal, facing)
-    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == ON_FACE, AGAINST_FACE, ASKEW)
+    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == Feature.FACE, AGAINST_FACE, ASKEW)
 
 
 @wp.func
@@ -264,29 +274,29 @@ def triangle_distance(
     radius = float(likely)
     ahead = float(0.0)
     sign = float(1.0)
-    stage = int(LIKELY)
-    while stage < LOOK_DONE:
+    stage = int(Look.LIKELY)
+    while stage < Look.DONE:
         found = nearest_triangle(shapes, part, p, asked, ahead, radius)
         if found.triangle >= 0:
             best = found
-            feature = wp.where(sign < 0.0 or ahead > 0.0, ON_FACE, best.feature)
+            feature = wp.where(sign < 0.0 or ahead > 0.0, Feature.FACE, best.feature)
             normal = feature_normal(shapes, best.triangle, feature)
             if ahead > 0.0:
                 return wp.vec4(normal[0], normal[1], normal[2], wp.dot(normal, best.offset))
             inside = sign < 0.0 or wp.dot(best.offset, normal) < 0.0
             sign = wp.where(inside, -1.0, 1.0)
-        is_missed = stage == LIKELY and found.triangle < 0 and radius < within
-        stage = wp.where(is_missed, ALL, wp.where(stage == LOOK_OPPOSING, LOOK_DONE, LOOK_OPPOSING))
+        is_missed = stage == Look.LIKELY and found.triangle < 0 and radius < within
+        stage = wp.where(is_missed, Look.ALL, wp.where(stage == Look.OPPOSING, Look.DONE, Look.OPPOSING))
         radius = within
-        if stage == LOOK_OPPOSING:
+        if stage == Look.OPPOSING:
             asked = facing
             radius += shapes.parts[part].grid_spacing
-            if best.triangle < 0 or is_opposed(normal, facing, wp.where(sign < 0.0, ON_FACE, best.feature)):
-                stage = LOOK_DONE
+            if best.triangle < 0 or is_opposed(normal, facing, wp.where(sign < 0.0, Feature.FACE, best.feature)):
+                stage = Look.DONE
             elif sign > 0.0:
                 ahead = border_width(shapes, part)
                 radius = ahead
-                stage = wp.where(best.squared < ahead * ahead, LOOK_OPPOSING, LOOK_DONE)
+                stage = wp.where(best.squared < ahead * ahead, Look.OPPOSING, Look.DONE)
     if best.triangle < 0:
         return fallback
     distance = wp.sqrt(best.squared)
@@ -299,7 +309,7 @@ def triangle_distance(
 def is_upright(foot: Foot, normal: wp.vec3):
     """Whether a point lies above its foot on a triangle; the foot may lie on the border to a face in the same plane."""
     height = wp.dot(foot.offset, normal)
-    aligned = foot.feature == ON_FACE or height * height > ALONG_NORMAL * wp.length_sq(foot.offset)
+    aligned = foot.feature == Feature.FACE or height * height > ALONG_NORMAL * wp.length_sq(foot.offset)
     return height > 0.0 and aligned
 
 

@@ -1,5 +1,7 @@
 """Symmetry of shapes: rotations that leave a surface in place, although they move its material points."""
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.enums import PartKind
@@ -16,8 +18,13 @@ LEAST_ANGLE = wp.constant(1.0e-6)
 SMALL_ANGLE = wp.constant(0.1)
 """Below this angle the series of the sine is more accurate than the sine [rad]."""
 
-NOT_ROUND, ROUND, BALL = wp.constant(0), wp.constant(1), wp.constant(2)
-"""Symmetry about the centre of mass: none, about the axis of a cylinder or capsule, or about every axis."""
+
+class Symmetry(IntEnum):
+    """Symmetry about the centre of mass: none, about the axis of a cylinder or capsule, or about every axis."""
+
+    NONE = 0
+    ROUND = 1
+    BALL = 2
 
 
 @wp.func
@@ -50,21 +57,21 @@ def chord_velocity(angular: wp.vec3, arm: wp.vec3, t: float):
 
 @wp.func
 def symmetry_of(b: int, shapes: Shapes, bodies: Bodies):
-    """Symmetry of a body about its centre of mass: NOT_ROUND, ROUND or BALL."""
+    """Symmetry of a body about its centre of mass: NONE, ROUND or BALL."""
     shape = bodies.shape[b]
     part = shapes.shapes[shape].part_start
     kind = shapes.parts[part].kind
     ball = kind == PartKind.SPHERE
     round = ball or kind == PartKind.CAPSULE or kind == PartKind.CYLINDER
     if shapes.shapes[shape].convex == 0 or not round:
-        return NOT_ROUND
+        return Symmetry.NONE
     offset = bodies.center_of_mass[b] - shapes.parts[part].position
     if not ball:
         axis = wp.quat_rotate(shapes.parts[part].orientation, wp.vec3(0.0, 0.0, 1.0))
         offset -= wp.dot(offset, axis) * axis
     if wp.length(offset) > CENTERED * shapes.shapes[shape].size:
-        return NOT_ROUND
-    return wp.where(ball, BALL, ROUND)
+        return Symmetry.NONE
+    return wp.where(ball, Symmetry.BALL, Symmetry.ROUND)
 
 
 @wp.func
@@ -78,9 +85,9 @@ def axis_of(b: int, shapes: Shapes, bodies: Bodies, state: State):
 def spin_of_surface(b: int, spin: wp.vec3, shapes: Shapes, bodies: Bodies, state: State):
     """The angular velocity of a body's surface: that of the body, without the part that leaves the surface in place."""
     symmetry = symmetry_of(b, shapes, bodies)
-    if symmetry == BALL:
+    if symmetry == Symmetry.BALL:
         return wp.vec3(0.0, 0.0, 0.0)
-    if symmetry == ROUND:
+    if symmetry == Symmetry.ROUND:
         axis = axis_of(b, shapes, bodies, state)
         return spin - wp.dot(spin, axis) * axis
     return spin
@@ -94,10 +101,10 @@ def turn_of_surface(b: int, spin: wp.vec3, dt: float, shapes: Shapes, bodies: Bo
     """
     symmetry = symmetry_of(b, shapes, bodies)
     angle = dt * wp.length(spin)
-    if symmetry == BALL or angle < LEAST_ANGLE:
+    if symmetry == Symmetry.BALL or angle < LEAST_ANGLE:
         return wp.quat_identity()
     turn = wp.quat_from_axis_angle(wp.normalize(spin), angle)
-    if symmetry == ROUND:
+    if symmetry == Symmetry.ROUND:
         axis = axis_of(b, shapes, bodies, state)
         turn = turn * wp.quat_from_axis_angle(axis, -dt * wp.dot(spin, axis))
     return turn

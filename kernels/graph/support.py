@@ -16,6 +16,8 @@ nothing else, so they are kept. Levels and depths are only needed for shock prop
 are solved in rounds (islands.py) have no edges in the graph of supports.
 """
 
+from enum import IntFlag
+
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies
@@ -28,12 +30,17 @@ from warp_rigid.kernels.tuning import SLANT
 
 wp.set_module_options({"enable_backward": False})
 
-A_ON_B = wp.constant(1)
-B_ON_A = wp.constant(2)
 UNKNOWN = wp.constant(-1)
 UNSUPPORTED = wp.constant(1 << 30)
 
 MOST_PASSES = wp.constant(4)
+
+
+class Support(IntFlag):
+    """Which bodies of a constraint are supported by the other one."""
+
+    A_ON_B = 1
+    B_ON_A = 2
 
 
 @wp.func
@@ -46,7 +53,7 @@ def presses(pull: wp.vec3, n: wp.vec3, approach: float):
 
 @wp.func
 def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constraints: Constraints, contacts: Contacts):
-    """Which bodies of a constraint are supported by the other one, as bits A_ON_B and B_ON_A."""
+    """Which bodies of a constraint are supported by the other one, as bits of Support."""
     a = constraints.body_a[k]
     b = constraints.body_b[k]
     first = constraints.first_row[k]
@@ -56,9 +63,9 @@ def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constr
         n = first_three(found)
         approach = found[3]
         if bodies.motion[a] == Motion.DYNAMIC and presses(motions.acceleration[a], n, approach):
-            supports = supports | A_ON_B
+            supports = supports | Support.A_ON_B
         if bodies.motion[b] == Motion.DYNAMIC and presses(motions.acceleration[b], -n, approach):
-            supports = supports | B_ON_A
+            supports = supports | Support.B_ON_A
     return supports
 
 
@@ -146,8 +153,8 @@ def upper_of(edge: int, constraints: Constraints, graph: Graph):
     if not is_swept(k, constraints, graph):
         return -1
     if edge % 2 == 0:
-        return wp.where((graph.supports[k] & A_ON_B) != 0, constraints.body_a[k], -1)
-    return wp.where((graph.supports[k] & B_ON_A) != 0, constraints.body_b[k], -1)
+        return wp.where((graph.supports[k] & Support.A_ON_B) != 0, constraints.body_a[k], -1)
+    return wp.where((graph.supports[k] & Support.B_ON_A) != 0, constraints.body_b[k], -1)
 
 
 @wp.func

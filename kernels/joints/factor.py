@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_rigid.kernels.common.team import Team, sync_warp
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
-from warp_rigid.kernels.joints.coordinate import IDLE, damping_slope, drive_slope, is_held
+from warp_rigid.kernels.joints.coordinate import Mode, damping_slope, drive_slope, is_held
 from warp_rigid.kernels.joints.elements import (
     axis_row,
     block_times,
@@ -52,7 +52,7 @@ def active_rows(j: int, dt: float, motions: Motions, joints: Joints):
         if is_held(joints.mode[j]) or drive_slope(j, wp.float64(dt), joints) > ZERO:
             rows = rows | (1 << free_row(joints.coordinate[j]))
         for k in range(4, 6):
-            if is_damped(j, k, joints) and joints.mode[j][0] != IDLE:
+            if is_damped(j, k, joints) and joints.mode[j][0] != Mode.IDLE:
                 rows = rows | (1 << k)
     return rows
 

@@ -31,8 +31,7 @@ from warp_rigid.kernels.enums import JointNumber
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.joint_rows import row_velocity
 from warp_rigid.kernels.joints.loads import (
-    SWEPT,
-    TOUCHED,
+    Load,
     Visit,
     answer_pair,
     is_visited,
@@ -42,7 +41,7 @@ from warp_rigid.kernels.joints.loads import (
     store_impulses,
     with_responses,
 )
-from warp_rigid.kernels.joints.mechanism import IN_CONTACT
+from warp_rigid.kernels.joints.mechanism import Activity
 from warp_rigid.kernels.joints.poses import free_row
 from warp_rigid.kernels.joints.responses import move_mechanism
 from warp_rigid.kernels.schema import Constraints, Contacts, Graph, Motions, Order, OrderRecord
@@ -76,7 +75,7 @@ def leave_out_joined(team: Team, order: Order, contacts: Contacts, joints: Joint
     """Leave the pairs of mechanisms that have restitution out of the other impacts. Returns 1 if there are any."""
     found = int(0)
     for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
-        joints.loaded[m] = wp.where(joints.activity[m] == IN_CONTACT, TOUCHED, SWEPT)
+        joints.loaded[m] = wp.where(joints.activity[m] == Activity.IN_CONTACT, Load.TOUCHED, Load.SWEPT)
     sync_team(team)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         if can_bounce(entry_at(k, order), contacts, joints):

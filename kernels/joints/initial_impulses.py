@@ -21,7 +21,7 @@ from warp_rigid.kernels.constraints.contact import blend_row, scale_row
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.loads import is_visited
-from warp_rigid.kernels.joints.mechanism import IN_CONTACT, energy_terms
+from warp_rigid.kernels.joints.mechanism import Activity, energy_terms
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import store_before_contacts, warm_start_pair
 from warp_rigid.kernels.solve.line_search import (
@@ -70,7 +70,7 @@ def island_of_joint(j: int, motions: Motions, joints: Joints, graph: Graph):
     """The island of a joint whose mechanism is solved with its contacts; -1 for others, which have no rows."""
     a = joints.body_a[j]
     b = joints.body_b[j]
-    if joints.activity[wp.max(joints.of_body[a], joints.of_body[b])] != IN_CONTACT:
+    if joints.activity[wp.max(joints.of_body[a], joints.of_body[b])] != Activity.IN_CONTACT:
         return -1
     return graph.island[wp.where(motions.role[a] == Role.FREE, a, b)]
 

@@ -1,5 +1,7 @@
 """Kernels of joints, in the order of a step: start, sweeps with contacts, projections, end."""
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.collide.ccd import NEVER, motion_after, time_of
@@ -25,9 +27,7 @@ from warp_rigid.kernels.joints.loads import (
     sweep_others,
 )
 from warp_rigid.kernels.joints.mechanism import (
-    IN_CONTACT,
-    STILL,
-    UNTOUCHED,
+    Activity,
     activity_of,
     close_joints,
     energy_terms,
@@ -70,20 +70,21 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 AFTER_PASSES = wp.constant(2)
 """Value of `after_shock` right after the passes of shock propagation, which leave the joints out."""
 
-STARTING, SWEEPING, SEARCHING, ENDING, OVER = (
-    wp.constant(0),
-    wp.constant(1),
-    wp.constant(2),
-    wp.constant(3),
-    wp.constant(4),
-)
-"""Stages of the sweeps: initial impulses, a sweep, a line search, the last direct solution, and their end."""
-
 MOST_OF_LARGEST = wp.constant(wp.float64(65536.0))
 """Largest contribution of a joint to the sums of the line search, in multiples of that of a contact."""
 
 FORGOTTEN = wp.constant(0)
 """Value of `Graph.active_before` with which the next step computes islands, levels and colours again."""
+
+
+class Phase(IntEnum):
+    """Phases of the sweeps: initial impulses, a sweep, a line search, the last direct solution, and their end."""
+
+    STARTING = 0
+    SWEEPING = 1
+    SEARCHING = 2
+    ENDING = 3
+    OVER = 4
 
 
 @wp.kernel
@@ -135,7 +136,7 @@ def start_joints(dt: float, lanes: int, bodies: Bodies, state: State, motions: M
     activity = activity_of(m, team, motions, graph, joints)
     if team.lane == 0:
         joints.activity[m] = activity
-    if activity == IN_CONTACT:
+    if activity == Activity.IN_CONTACT:
         if team.lane == 0:
             joints.parts[m] = 0
         take_poses(m, team, state, joints)
@@ -257,21 +258,21 @@ def sweep_with_joints(
     done = int(0)
     residual = float(0.0)
     is_searched = after_shock == 1 and searched(env, envs, graph)
-    stage = int(wp.where(starts, STARTING, stage_after(STARTING, left, touched, is_searched)))
-    while stage != OVER:
+    stage = int(wp.where(starts, Phase.STARTING, stage_after(Phase.STARTING, left, touched, is_searched)))
+    while stage != Phase.OVER:
         change = sweep_once(
             stage, after_shock, touched, layered, dt, team, order, graph, motions, contacts, joints, visits
         )
-        if stage == SWEEPING:
+        if stage == Phase.SWEEPING:
             residual = change
             done += 1
             unsolved = any_of_team(wp.where(residual > CONVERGED * unit, 1, 0), team)
             left = unsolved * (left - 1)
-        if stage == SEARCHING:
+        if stage == Phase.SEARCHING:
             since = wp.where(after_shock == 0, BEFORE_CONTACTS, START)
             search_energy(since, dt, team, envs, order, graph, motions, contacts, joints)
-        is_first = starts and done == 1 and stage == SWEEPING
-        stage = wp.where(is_first, SEARCHING, stage_after(stage, left, touched, is_searched))
+        is_first = starts and done == 1 and stage == Phase.SWEEPING
+        stage = wp.where(is_first, Phase.SEARCHING, stage_after(stage, left, touched, is_searched))
     if after_shock == 0:
         graph.converged[env] = 1 - unsolved
     if after_shock != AFTER_PASSES:
@@ -286,10 +287,10 @@ def stage_after(stage: int, left: int, touched: int, is_searched: bool):
     if `is_searched`.
     """
     if left > 0:
-        return SWEEPING
-    if touched == 0 or stage == ENDING or (stage == SEARCHING and is_searched):
-        return OVER
-    return wp.where(is_searched, SEARCHING, ENDING)
+        return Phase.SWEEPING
+    if touched == 0 or stage == Phase.ENDING or (stage == Phase.SEARCHING and is_searched):
+        return Phase.OVER
+    return wp.where(is_searched, Phase.SEARCHING, Phase.ENDING)
 
 
 @wp.func
@@ -313,13 +314,13 @@ def sweep_once(
     solution alone.
     """
     change = float(0.0)
-    if stage == SWEEPING and after_shock != AFTER_PASSES:
+    if stage == Phase.SWEEPING and after_shock != AFTER_PASSES:
         for level in range(layered, layered * graph.level_count[team.env] + 1):
             change = wp.max(change, sweep_others(level, team, order, graph, motions, contacts, joints))
-    if stage != STARTING:
+    if stage != Phase.STARTING:
         change = wp.max(change, solve_joints(team, dt, motions, joints))
-    if touched == 1 and stage <= SWEEPING:
-        start = wp.where(stage == STARTING, 1, 0)
+    if touched == 1 and stage <= Phase.SWEEPING:
+        start = wp.where(stage == Phase.STARTING, 1, 0)
         change = wp.max(change, solve_touching(start, team, order, motions, contacts, joints, visits))
     return change
 
@@ -394,7 +395,7 @@ def push_joined(
 def move_untouched(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """One team per mechanism without contacts: it moves in parts of the step, at whose ends the joints hold."""
     team = team_of(wp.tid(), lanes)
-    if joints.activity[team.env] == UNTOUCHED:
+    if joints.activity[team.env] == Activity.UNTOUCHED:
         move_in_parts(team.env, dt, team, bodies, state, motions, joints)
 
 
@@ -410,7 +411,7 @@ def settle_joints(
     """
     team = team_of(wp.tid(), lanes)
     m = team.env
-    if after_push == 0 and joints.activity[m] != IN_CONTACT:
+    if after_push == 0 and joints.activity[m] != Activity.IN_CONTACT:
         return
     if after_push == 1:
         if not needs_solution(m, joints):
@@ -429,7 +430,7 @@ def join_courses(lanes: int, bodies: Bodies, motions: Motions, joints: Joints):
     """
     team = team_of(wp.tid(), lanes)
     m = team.env
-    if joints.activity[m] == STILL:
+    if joints.activity[m] == Activity.STILL:
         return
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
         b = joints.member[i]
@@ -479,7 +480,7 @@ def share_impacts(
     """
     team = team_of(wp.tid(), lanes)
     m = team.env
-    if joints.activity[m] == STILL:
+    if joints.activity[m] == Activity.STILL:
         return
     hit = joints.member[joints.first_member[m]]
     for i in range(joints.first_member[m], joints.first_member[m + 1]):
@@ -506,7 +507,7 @@ def close_stopped(dt: float, lanes: int, bodies: Bodies, state: State, motions: 
     """One team per mechanism, after the last round: where its joints stopped, they hold."""
     team = team_of(wp.tid(), lanes)
     m = team.env
-    if joints.activity[m] == STILL:
+    if joints.activity[m] == Activity.STILL:
         return
     stopped = joints.unsettled[m]
     for i in range(joints.first_member[m], joints.first_member[m + 1]):

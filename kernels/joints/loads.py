@@ -10,6 +10,8 @@ joints of its mechanisms.
 The pairs are visited in turns (turns.py).
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import (
@@ -35,7 +37,7 @@ from warp_rigid.kernels.constraints.load_distribution import distribute_contact_
 from warp_rigid.kernels.enums import IslandSolver, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat66d, vec6d
 from warp_rigid.kernels.joints.elements import block_times, entry_of, transposed_block_times
-from warp_rigid.kernels.joints.mechanism import IN_CONTACT, needs_solution, solve_mechanism
+from warp_rigid.kernels.joints.mechanism import Activity, needs_solution, solve_mechanism
 from warp_rigid.kernels.joints.responses import push_mechanism, store_response
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import is_of_level, solve_constraint
@@ -53,16 +55,24 @@ MOST_WORK = wp.constant(2048)
 """Largest product of a mechanism's bodies and touching pairs with which its contacts are solved where the joints hold,
 unless it carries a load. A visit takes a time proportional to the bodies, too long for a chain on the ground."""
 
-SWEPT, TOUCHED, LOADED, CRUSHED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
-"""How the contacts of a mechanism are solved: by sweeps, or where the joints hold.
-
-The passes of shock propagation leave the joints out, and a pile of mechanisms keeps moving with them. They are not
-executed where all contacts of an island are those of mechanisms (TOUCHED), nor for loads that joints hold to the world
-(LOADED). They are needed for a load that is heavier than the mechanism under it, which the ground carries (CRUSHED).
-"""
-
 VISIT_ITERATIONS = wp.constant(4)
 """Maximum iterations over the contacts of a pair in a visit."""
+
+
+class Load(IntEnum):
+    """Load of a mechanism: how its contacts are solved.
+
+    The passes of shock propagation leave the joints out, and a pile of mechanisms keeps moving with them.
+    """
+
+    SWEPT = 0
+    """By sweeps."""
+    TOUCHED = 1
+    """Where the joints hold, without passes if all contacts of the island are those of mechanisms."""
+    LOADED = 2
+    """The same with a load that joints hold to the world: without passes."""
+    CRUSHED = 3
+    """The same with a load heavier than the mechanism under it, which the ground carries: with passes."""
 
 
 @wp.func
@@ -93,15 +103,15 @@ def note_touch(entry: OrderRecord, motions: Motions, joints: Joints):
     if m_a >= 0:
         wp.atomic_add(joints.touching, m_a, 1)
         if is_crushed(m_a, entry.body_b, motions, joints):
-            joints.loaded[m_a] = CRUSHED
+            joints.loaded[m_a] = Load.CRUSHED
     if m_b >= 0 and m_a != m_b:
         wp.atomic_add(joints.touching, m_b, 1)
         if is_crushed(m_b, entry.body_a, motions, joints):
-            joints.loaded[m_b] = CRUSHED
+            joints.loaded[m_b] = Load.CRUSHED
     if weighs_on(entry.body_a, entry.body_b, motions, joints):
-        joints.loaded[m_b] = LOADED
+        joints.loaded[m_b] = Load.LOADED
     if weighs_on(entry.body_b, entry.body_a, motions, joints):
-        joints.loaded[m_a] = LOADED
+        joints.loaded[m_a] = Load.LOADED
 
 
 @wp.func
@@ -130,9 +140,9 @@ def find_touched(team: Team, order: Order, motions: Motions, joints: Joints):
     begin = joints.first_mechanism[team.env] + team.lane
     end = joints.first_mechanism[team.env + 1]
     for m in range(begin, end, team.lanes):
-        joints.loaded[m] = SWEPT
+        joints.loaded[m] = Load.SWEPT
         joints.touching[m] = 0
-        if joints.activity[m] == IN_CONTACT:
+        if joints.activity[m] == Activity.IN_CONTACT:
             joints.weight[m] = weight_of(m, motions, joints)
     sync_team(team)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
@@ -140,9 +150,9 @@ def find_touched(team: Team, order: Order, motions: Motions, joints: Joints):
     sync_team(team)
     for m in range(begin, end, team.lanes):
         work = joints.touching[m] * (joints.first_member[m + 1] - joints.first_member[m])
-        if joints.loaded[m] != LOADED:
+        if joints.loaded[m] != Load.LOADED:
             is_solved = work > 0 and work <= MOST_WORK and is_heavy(m, motions, joints)
-            joints.loaded[m] = wp.where(is_solved, wp.max(joints.loaded[m], TOUCHED), SWEPT)
+            joints.loaded[m] = wp.where(is_solved, wp.max(joints.loaded[m], Load.TOUCHED), Load.SWEPT)
     sync_team(team)
     return any_touched(team, joints)
 
@@ -152,7 +162,7 @@ def any_touched(team: Team, joints: Joints):
     """Whether the contacts of any mechanism of an environment are solved where the joints hold."""
     found = int(0)
     for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
-        if joints.loaded[m] != SWEPT:
+        if joints.loaded[m] != Load.SWEPT:
             found = 1
     return any_of_team(found, team)
 
@@ -178,7 +188,7 @@ def solved_mechanism(b: int, joints: Joints):
     """The mechanism of a body if its contacts are solved where the joints hold, else -1."""
     m = joints.of_body[b]
     if m >= 0:
-        if joints.loaded[m] != SWEPT:
+        if joints.loaded[m] != Load.SWEPT:
             return m
     return -1
 
@@ -205,8 +215,8 @@ def leave_out_of_shock(first: int, last: int, team: Team, order: Order, motions:
             b = joints.member[i]
             island = graph.island[b]
             if motions.role[b] == Role.FREE:
-                alone = joints.loaded[m] == TOUCHED and joints.swept[island] == 0
-                if joints.loaded[m] == LOADED or alone:
+                alone = joints.loaded[m] == Load.TOUCHED and joints.swept[island] == 0
+                if joints.loaded[m] == Load.LOADED or alone:
                     graph.solver[island] = IslandSolver.SWEEPS
     sync_team(team)
 

@@ -5,6 +5,8 @@ between two calls of `predict_mechanism`; after a few of them, the joints hold a
 (Weinstein, Teran and Fedkiw 2006). The rows are those of the pose at the start of the step, as in SHAKE.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, START, VELOCITY, load_velocity, store_velocity
@@ -12,7 +14,7 @@ from warp_rigid.kernels.common.team import Team, any_of_warp, max_of_lanes, sync
 from warp_rigid.kernels.enums import JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
-    IDLE,
+    Mode,
     damping_slope,
     drive_slope,
     excess_of,
@@ -69,13 +71,17 @@ JOINT_SOLVED = wp.constant(1.0e-5)
 """Residual of a joint below which it counts as solved [m/s, rad/s]: less than 0.1 micrometres per step."""
 
 
-STILL, UNTOUCHED, IN_CONTACT = wp.constant(0), wp.constant(1), wp.constant(2)
-"""Activity of a mechanism in a step: no body is free to move; none has a contact; some have contacts.
+class Activity(IntEnum):
+    """Activity of a mechanism in a step."""
 
-Nothing but its joints changes the velocities of an UNTOUCHED mechanism after those of the step's forces. It is solved
-once, for the pose at the end of the step. Impulses that made its velocities obey the joints before would act along the
-same rows, so they are part of that solution.
-"""
+    STILL = 0
+    """No body is free to move."""
+    UNTOUCHED = 1
+    """No contact. Nothing but its joints changes its velocities after those of the step's forces. It is solved once,
+    for the pose at the end of the step. Impulses that made its velocities obey the joints before would act along the
+    same rows, so they are part of that solution."""
+    IN_CONTACT = 2
+    """Some bodies have contacts."""
 
 
 @wp.func
@@ -89,13 +95,15 @@ def activity_of(m: int, team: Team, motions: Motions, graph: Graph, joints: Join
             free = 1
             touched |= wp.where(graph.touching[b] > 0, 1, 0)
     touched = any_of_warp(touched, team.lanes)
-    return any_of_warp(free, team.lanes) * wp.where(touched == 1, IN_CONTACT, UNTOUCHED)
+    return any_of_warp(free, team.lanes) * wp.where(touched == 1, Activity.IN_CONTACT, Activity.UNTOUCHED)
 
 
 @wp.func
 def needs_solution(m: int, joints: Joints):
     """Whether a mechanism is solved again after its first solution in a step."""
-    return joints.activity[m] == IN_CONTACT or (joints.activity[m] == UNTOUCHED and joints.unsettled[m] == 1)
+    return joints.activity[m] == Activity.IN_CONTACT or (
+        joints.activity[m] == Activity.UNTOUCHED and joints.unsettled[m] == 1
+    )
 
 
 @wp.func
@@ -104,7 +112,7 @@ def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joi
     build_rows(j, bodies, joints)
     errors = errors_of(j, ends_of(j, joints), joints)
     joints.bias[j] = errors / wp.float64(dt)
-    joints.mode[j] = wp.vec3i(IDLE, 0, 0)
+    joints.mode[j] = wp.vec3i(Mode.IDLE, 0, 0)
     row = free_row(joints.coordinate[j])
     if row >= 0:
         speed = row_velocity(j, row, motions, joints)
@@ -361,7 +369,7 @@ def store_before_settling(m: int, team: Team, motions: Motions, joints: Joints):
 def first_modes(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
     """Choose the modes for the first solution in a step. Returns 1 if the factors are not those of the modes."""
     differ = choose_modes(m, dt, team, motions, joints)
-    if joints.activity[m] == UNTOUCHED:
+    if joints.activity[m] == Activity.UNTOUCHED:
         return 1
     return differ
 
@@ -407,7 +415,7 @@ def settle_mechanism(
                     return 1
                 take_back(m, team, motions, joints)
                 anew = 1
-            if k > 0 and anew == 0 and joints.activity[m] == UNTOUCHED:
+            if k > 0 and anew == 0 and joints.activity[m] == Activity.UNTOUCHED:
                 # Each solution decreases the residual by the same ratio, or more. Contacts need a known residual.
                 left = change * change / last
             last = change

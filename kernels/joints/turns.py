@@ -8,6 +8,8 @@ The priority of a pair is its place among the pairs, since sweeps that visit the
 order converge more slowly, and a ragdoll that folds up gains more energy.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import inverse_mass_of
@@ -25,8 +27,12 @@ MARKED_TURNS = wp.constant(32 * TURN_WORDS)
 
 ALL_TURNS_TAKEN = wp.constant(wp.uint32(0xFFFFFFFF))
 
-WAITING, LEFT_OUT = wp.constant(-1), wp.constant(0)
-"""Values of `visited` while turns are assigned: a pair that has no turn yet, and one that is not visited."""
+
+class Visit(IntEnum):
+    """Values of `visited` before a pair has a place in the order of visits."""
+
+    WAITING = -1
+    LEFT_OUT = 0
 
 
 @wp.func
@@ -95,7 +101,7 @@ def start_turns(first: int, last: int, team: Team, order: Order, graph: Graph, j
         for word in range(TURN_WORDS):
             visits.taken[b, word] = wp.uint32(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
-        order.entries[k].visited = wp.where(is_visited(entry_at(k, order), joints), WAITING, LEFT_OUT)
+        order.entries[k].visited = wp.where(is_visited(entry_at(k, order), joints), Visit.WAITING, Visit.LEFT_OUT)
     sync_team(team)
 
 
@@ -114,7 +120,7 @@ def bid_or_take(
     waits = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        if entry.visited == WAITING:
+        if entry.visited == Visit.WAITING:
             a = occupied(entry.body_a, motions, joints)
             b = occupied(entry.body_b, motions, joints)
             value = wp.int64(first_row - entry.begin)

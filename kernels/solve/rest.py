@@ -23,7 +23,7 @@ from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import IMPULSE, impulse_of, read_contact
 from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
 from warp_rigid.kernels.graph.heap_arrays import Rounds
-from warp_rigid.kernels.graph.support import A_ON_B, B_ON_A, UNSUPPORTED
+from warp_rigid.kernels.graph.support import UNSUPPORTED, Support
 from warp_rigid.kernels.schema import Bodies, ContactRecord, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.rounds import read_round_pair
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
@@ -183,8 +183,8 @@ def find_held_bodies(
             entry.body_b, entry.begin, motions, contacts
         ):
             graph.restless[graph.island[wp.where(entry.slot_a >= 0, entry.body_a, entry.body_b)]] = 1
-        elif supports == A_ON_B or supports == B_ON_A:
-            upper = wp.where(supports == A_ON_B, entry.body_a, entry.body_b)
+        elif supports == Support.A_ON_B or supports == Support.B_ON_A:
+            upper = wp.where(supports == Support.A_ON_B, entry.body_a, entry.body_b)
             far = CLEARANCE * STOPPED_SPEED * dt * wp.length(envs.gravity[entry.env])
             find_held(upper, entry.begin, entry.end, far, graph, contacts)
 
