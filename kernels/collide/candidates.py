@@ -33,7 +33,7 @@ STEPS_AHEAD = wp.constant(3.0)
 """Steps whose motion, at the present velocity, a fat box encloses besides the current one."""
 
 LEVELS = 24
-TOP = wp.constant(LEVELS - 1)
+TOP = LEVELS - 1
 """The highest level, of bodies too large for any other. It has one cell, since a box of it may have any extent."""
 
 FINER_LEVELS = 8

@@ -54,14 +54,6 @@ from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
-FEWEST_TURNS = wp.constant(16)
-MOST_TURNS = wp.constant(32)
-"""Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain, so there are as many
-rounds as bodies. A body in a hollow one, which lands, is hit several times. The rounds end when no body is hit: a heap
-of 4096 boxes that lands takes 9 on average, and sometimes more than the maximum. With 8 at most, its boxes overlap by
-48 mm instead of 20 mm, of 200 mm."""
-
-
 NEVER = wp.constant(wp.int64(2**62))
 """Value of `first_impact` without an impact; it is the time in units, times PAIR_NUMBERS, plus the pair otherwise."""
 PAIR_NUMBERS = wp.constant(wp.int64(2**31))

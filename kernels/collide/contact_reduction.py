@@ -39,10 +39,6 @@ from warp_rigid.kernels.tuning import (
 
 wp.set_module_options({"enable_backward": False})
 
-DIRECTIONS = wp.constant(EXTREME_DIRECTIONS)
-SLOTS = wp.constant(PATCH_SLOTS)
-MOST_PATCHES = wp.constant(PATCHES)
-
 
 @wp.struct
 class Ranking:
@@ -102,7 +98,7 @@ def nearest_patch(pair: int, normal: wp.vec3, pairs: Pairs):
         if c > likeness:
             likeness = c
             best = p
-    if likeness < SAME_PATCH and count < MOST_PATCHES:
+    if likeness < SAME_PATCH and count < PATCHES:
         return -1
     return best
 
@@ -113,8 +109,8 @@ def add_patch(pair: int, normal: wp.vec3, pairs: Pairs):
     count = pairs.patch_count[pair]
     pairs.patch_count[pair] = count + 1
     pairs.patch_normal[pair, count] = normal
-    for k in range(SLOTS):
-        pairs.slots[pair, count * SLOTS + k].place = -1
+    for k in range(PATCH_SLOTS):
+        pairs.slots[pair, count * PATCH_SLOTS + k].place = -1
     return count
 
 
@@ -214,7 +210,7 @@ def offer_of(pair: int, place: int, touch: Touch, ranking: Ranking, lane: int, l
 @wp.func
 def weight_in(k: int, ranking: Ranking):
     """Weight of a gap in a slot; 1 for the slot of the deepest sample, whose score is a gap."""
-    if k == DIRECTIONS:
+    if k == EXTREME_DIRECTIONS:
         return 1.0
     return wp.where(k % 2 == 0, ranking.upright, ranking.tipped)
 
@@ -222,7 +218,7 @@ def weight_in(k: int, ranking: Ranking):
 @wp.func
 def score_in(k: int, offer: Offer, ranking: Ranking):
     """Score of a sample in a slot [m]."""
-    if k == DIRECTIONS:
+    if k == EXTREME_DIRECTIONS:
         return -offer.left
     gap = wp.max(offer.gap, -ranking.deepest)
     if offer.left < COMES_NEAR * offer.gap:
@@ -236,14 +232,14 @@ def score_in(k: int, offer: Offer, ranking: Ranking):
 @wp.func
 def takes_slot(pair: int, k: int, offer: Offer, score: float, ranking: Ranking, size: float, pairs: Pairs):
     """Whether a sample with a score replaces the one in a slot of its patch."""
-    best = pairs.slots[pair, offer.patch * SLOTS + k]
+    best = pairs.slots[pair, offer.patch * PATCH_SLOTS + k]
     return best.place < 0 or score > best.score + TIE * size * weight_in(k, ranking)
 
 
 @wp.func
 def takes_any_slot(pair: int, offer: Offer, ranking: Ranking, size: float, pairs: Pairs):
     """Whether a sample replaces one in any slot of its patch."""
-    for k in range(SLOTS):
+    for k in range(PATCH_SLOTS):
         if takes_slot(pair, k, offer, score_in(k, offer, ranking), ranking, size, pairs):
             return True
     return False
@@ -280,11 +276,11 @@ def offer_samples(
     while hits != wp.uint32(0):
         offered = broadcast_offer(offer, lowest_bit(hits), lanes)
         hits = hits & (hits - wp.uint32(1))
-        for k in range(lane, SLOTS, lanes):
+        for k in range(lane, PATCH_SLOTS, lanes):
             score = score_in(k, offered, ranking)
             if takes_slot(pair, k, offered, score, ranking, size, pairs):
                 slot = SlotRecord(offered.place, score, offered.gap, offered.left)
-                pairs.slots[pair, offered.patch * SLOTS + k] = slot
+                pairs.slots[pair, offered.patch * PATCH_SLOTS + k] = slot
     sync_warp(lanes)
 
 
@@ -292,7 +288,7 @@ def offer_samples(
 def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
     """List the kept samples, each once, and a deepest one only if it will be deeper. Returns their number."""
     kept = int(0)
-    slots = pairs.patch_count[pair] * SLOTS
+    slots = pairs.patch_count[pair] * PATCH_SLOTS
     for base in range(0, slots, lanes):
         slot = base + lane
         place = int(-1)
@@ -300,13 +296,13 @@ def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
             own = pairs.slots[pair, slot]
             place = own.place
             lowest = float(FAR)
-            for k in range(slot - slot % SLOTS, slot):
+            for k in range(slot - slot % PATCH_SLOTS, slot):
                 earlier = pairs.slots[pair, k]
                 if earlier.place >= 0:
                     lowest = wp.min(lowest, earlier.left)
                     if earlier.place == own.place:
                         place = -1
-            if slot % SLOTS == DIRECTIONS and own.left > lowest - 0.1 * CONTACT_DISTANCE * size:
+            if slot % PATCH_SLOTS == EXTREME_DIRECTIONS and own.left > lowest - 0.1 * CONTACT_DISTANCE * size:
                 place = -1
         hits = ballot(wp.where(place >= 0, 1, 0), lanes)
         if place >= 0:
@@ -329,7 +325,7 @@ def contradictory(pair: int, pairs: Pairs):
 def deepest_gap(pair: int, pairs: Pairs):
     """Gap of the deepest kept sample of a pair [m]; FAR if it has none."""
     deepest = float(FAR)
-    for slot in range(pairs.patch_count[pair] * SLOTS):
+    for slot in range(pairs.patch_count[pair] * PATCH_SLOTS):
         if pairs.slots[pair, slot].place >= 0:
             deepest = wp.min(deepest, pairs.slots[pair, slot].gap)
     return deepest

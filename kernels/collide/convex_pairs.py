@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach, approach_of, contact_reach, touch_of
-from warp_rigid.kernels.collide.contact_reduction import SLOTS, contradictory, deepest_gap
+from warp_rigid.kernels.collide.contact_reduction import contradictory, deepest_gap
 from warp_rigid.kernels.collide.contact_search import Search
 from warp_rigid.kernels.collide.convex import (
     are_solid,
@@ -16,7 +16,7 @@ from warp_rigid.kernels.collide.convex import (
 )
 from warp_rigid.kernels.collide.distance import BORDER, FAR
 from warp_rigid.kernels.common.team import sync_warp
-from warp_rigid.kernels.schema import Bodies, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.schema import PATCH_SLOTS, Bodies, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.tuning import ALONG_AXIS, CONTACT_DISTANCE, DEEP_OVERLAP, DOUBTFUL, TRUSTED
 from warp_rigid.kernels.update.predict import smaller_size
 
@@ -46,8 +46,8 @@ def touch_along(axis: wp.vec3, a: int, b: int, shapes: Shapes, bodies: Bodies, s
 @wp.func
 def drop_untrusted(pair: int, axis: wp.vec3, depth: float, lane: int, lanes: int, pairs: Pairs):
     """Empty the slots of samples that do not point along the axis, or are deeper than the solids."""
-    for slot in range(lane, pairs.patch_count[pair] * SLOTS, lanes):
-        along = wp.dot(pairs.patch_normal[pair, slot / SLOTS], axis)
+    for slot in range(lane, pairs.patch_count[pair] * PATCH_SLOTS, lanes):
+        along = wp.dot(pairs.patch_normal[pair, slot / PATCH_SLOTS], axis)
         if along < ALONG_AXIS or pairs.slots[pair, slot].gap < -TRUSTED * depth:
             pairs.slots[pair, slot].place = -1
 

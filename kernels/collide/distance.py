@@ -18,10 +18,13 @@ import warp as wp
 from warp_rigid.kernels.collide.height_distance import heightfield_distance
 from warp_rigid.kernels.collide.height_places import ball_distance_to_heights
 from warp_rigid.kernels.collide.triangle_distance import (
+    BORDER,
+    FAR,
     FARTHER,
     GRID_ERROR,
     INNER,
     LIKELY_ERROR,
+    OPPOSING,
     border_width,
     chosen_place,
     triangle_distance,
@@ -31,16 +34,6 @@ from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False})
-
-
-FAR = wp.constant(1.0e10)
-"""Distance returned if there is no contact [m]."""
-
-OPPOSING = wp.constant(-0.1)
-"""Two outward normals with a scalar product below this oppose each other."""
-
-BORDER = wp.constant(0.005)
-"""A sample counts as above a face up to this fraction of the smallest half-extent beyond the face's border."""
 
 
 BALL_REACH = wp.constant(1.5)

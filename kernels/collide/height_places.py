@@ -8,8 +8,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.height_distance import node
 from warp_rigid.kernels.collide.triangle_distance import (
-    FAR_AWAY,
-    SAME_PLACE,
+    FAR,
     Places,
     foot_on_triangle,
     is_upright,
@@ -17,6 +16,7 @@ from warp_rigid.kernels.collide.triangle_distance import (
     place_of_rank,
 )
 from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.tuning import SAME_PATCH
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,7 +59,7 @@ def height_places(shapes: Shapes, part: int, p: wp.vec3, nearest: wp.vec4, withi
     squared = nearest[3] * nearest[3]
     for k in range(places.count):
         known = wp.vec3(places.direction[k, 0], places.direction[k, 1], places.direction[k, 2])
-        if wp.dot(known, n) > SAME_PLACE and places.squared[k] < ALIKE * squared:
+        if wp.dot(known, n) > SAME_PATCH and places.squared[k] < ALIKE * squared:
             return places
     return keep_place(RIDGE, squared, n, places)
 
@@ -68,7 +68,7 @@ def height_places(shapes: Shapes, part: int, p: wp.vec3, nearest: wp.vec4, withi
 def ball_distance_to_heights(
     shapes: Shapes, part: int, p: wp.vec3, nearest: wp.vec4, near: float, touching: float, choice: int
 ):
-    """Distance from the centre of a ball to one of its places on a height field; FAR_AWAY if there is none.
+    """Distance from the centre of a ball to one of its places on a height field; FAR if there is none.
 
     `nearest`: the distance to the height field, whichever place it belongs to.
     The places are ranked within `near`, if one is within `touching`. The first place is also returned if it is farther
@@ -80,5 +80,5 @@ def ball_distance_to_heights(
     if above and d[3] < wp.min(near, touching):
         return place_of_rank(height_places(shapes, part, p, d, near), choice, d)
     if choice > 1:
-        d[3] = FAR_AWAY
+        d[3] = FAR
     return d

@@ -45,9 +45,6 @@ from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-MOST_LISTED = wp.constant(PAIR_SLOTS)
-"""Maximum number of samples of a batch, which a pair lists in `Pairs.kept` first; at least a warp."""
-
 
 @wp.func
 def last_pair(a: int, b: int, history: History):
@@ -227,7 +224,7 @@ def list_cluster(
             hit = 1
         hits = ballot(hit, lanes)
         count = bits_below(hits, 32)
-        if listing.listed + count > MOST_LISTED:
+        if listing.listed + count > PAIR_SLOTS:
             listing.batch = store_batch(pair, listing.listed, listing.batch, lane, lanes, pairs, near)
             listing.listed = 0
         if hit == 1:

@@ -47,9 +47,6 @@ BY_CENTER = wp.constant(-2)
 BY_AXIS = wp.constant(-4)
 """Identity of the contact of two convex bodies along the axis of their least overlap."""
 
-MOST_KEPT = wp.constant(PAIR_SLOTS)
-"""Maximum number of contacts of a pair."""
-
 
 @wp.func
 def touch_at(k: int, end: int, b: int, state: State, near: NearSamples):
@@ -160,7 +157,7 @@ def keep_ball(
 @wp.func
 def add_contact(pair: int, key: int, kept: int, lane: int, pairs: Pairs):
     """Append a contact to those of a pair, in place of the last one if there are too many. Returns their number."""
-    place = wp.min(kept, MOST_KEPT - 1)
+    place = wp.min(kept, PAIR_SLOTS - 1)
     if lane == 0:
         pairs.kept[pair, place] = key
     return place + 1
@@ -197,7 +194,7 @@ def keep_loaded(
     if last < 0 or history.searched[last] == 0:
         return kept
     for c in range(history.contact_start[last], history.contact_start[last + 1]):
-        if kept < MOST_KEPT and history.key[c] >= 0 and wp.length_sq(history.impulse[c]) > 0.0:
+        if kept < PAIR_SLOTS and history.key[c] >= 0 and wp.length_sq(history.impulse[c]) > 0.0:
             place = touching_place(pair, history.key[c], size, lane, lanes, near)
             for k in range(kept):
                 if pairs.kept[pair, k] == place:

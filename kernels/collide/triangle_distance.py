@@ -22,11 +22,18 @@ import warp as wp
 from warp_rigid.kernels.common.branching import keep_branch
 from warp_rigid.kernels.schema import BALL_PLACES, Shapes, TriangleRecord
 from warp_rigid.kernels.shape_arrays import MOST_OF_LEAF, read_node, read_triangle
+from warp_rigid.kernels.tuning import SAME_PATCH
 
 wp.set_module_options({"enable_backward": False})
 
-FAR_AWAY = wp.constant(1.0e10)
-"""Distance returned if there is no such place [m]."""
+FAR = wp.constant(1.0e10)
+"""Distance returned if there is no contact [m]."""
+
+OPPOSING = wp.constant(-0.1)
+"""Two outward normals with a scalar product below this oppose each other."""
+
+BORDER = wp.constant(0.005)
+"""A sample counts as above a face up to this fraction of the smallest half-extent beyond the face's border."""
 
 GRID_ERROR = wp.constant(0.8661)
 """Largest error of a grid's distance between its nodes, in cells: a distance changes by at most the displacement,
@@ -44,21 +51,9 @@ LIKELY_ERROR = wp.constant(0.2)
 ON_SURFACE = wp.constant(2.0e-3)
 """Within this fraction of a cell of the surface the direction is the normal: rounding errors would turn the offset."""
 
-AGAINST_FACE = wp.constant(-0.1)
-"""A face opposes a sample if the scalar product of their normals is below this value."""
-
 ASKEW = wp.constant(-0.5)
 """The normal of a side or corner opposes a sample only if their scalar product is below this value. Where the edges of
 two equal bodies coincide, it is a mixture of the face in contact and of faces beside it."""
-
-BESIDE_FACE = wp.constant(0.0025)
-"""A sample counts as above a face up to this fraction of the smallest extent beyond the face's border, as with boxes
-(distance.py)."""
-
-PLACES = wp.constant(BALL_PLACES)
-
-SAME_PLACE = wp.constant(0.94)
-"""Cosine (20 degrees) above which the directions of two places count as the same."""
 
 ALONG_NORMAL = wp.constant(0.9999)
 """Squared cosine above which a direction counts as that of the normal."""
@@ -234,7 +229,7 @@ def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, ahe
             gap = wp.length_sq(foot.offset)
             if gap < best.squared:
                 n = face_normal(triangle)
-                if not faced or (wp.dot(n, facing) < AGAINST_FACE and wp.dot(n, foot.offset) <= ahead):
+                if not faced or (wp.dot(n, facing) < OPPOSING and wp.dot(n, foot.offset) <= ahead):
                     best.squared = gap
                     best.triangle = t
                     best.feature = foot.feature
@@ -246,14 +241,14 @@ def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, ahe
 def border_width(shapes: Shapes, part: int):
     """How far beyond the border of a face of a mesh a sample still counts as above the face [m]."""
     root = shapes.parts[part].tree_start
-    return BESIDE_FACE * wp.min(shapes.tree[root].upper - shapes.tree[root].lower)
+    return 0.5 * BORDER * wp.min(shapes.tree[root].upper - shapes.tree[root].lower)
 
 
 @wp.func
 def is_opposed(normal: wp.vec3, facing: wp.vec3, feature: int):
     """Whether the normal of a feature opposes a sample, or there is no sample normal."""
     cosine = wp.dot(normal, facing)
-    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == Feature.FACE, AGAINST_FACE, ASKEW)
+    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == Feature.FACE, OPPOSING, ASKEW)
 
 
 @wp.func
@@ -320,15 +315,15 @@ def keep_place(triangle: int, squared: float, direction: wp.vec3, places: Places
     farthest = float(squared)
     for k in range(places.count):
         known = wp.vec3(places.direction[k, 0], places.direction[k, 1], places.direction[k, 2])
-        if wp.dot(known, direction) > SAME_PLACE:
+        if wp.dot(known, direction) > SAME_PATCH:
             if places.squared[k] <= squared:
                 return places
             slot = k
             farthest = wp.inf
-        elif places.count == PLACES and places.squared[k] > farthest:
+        elif places.count == BALL_PLACES and places.squared[k] > farthest:
             slot = k
             farthest = places.squared[k]
-    if slot == PLACES:
+    if slot == BALL_PLACES:
         return places
     if slot == places.count:
         places.count += 1
@@ -377,7 +372,7 @@ def place_of_rank(places: Places, choice: int, fallback: wp.vec4):
     """Direction to a ball from its place of the given rank, from 1, in the order of the triangles, and the distance."""
     result = fallback
     if choice > 1:
-        result[3] = FAR_AWAY
+        result[3] = FAR
     for k in range(places.count):
         rank = int(1)
         for other in range(places.count):

@@ -19,12 +19,10 @@ from warp_rigid.kernels.schema import COLORS, Bodies, Constraints, Environments,
 
 wp.set_module_options({"enable_backward": False})
 
-MOST_COLORS = wp.constant(COLORS)
-
 ALL_TAKEN = wp.constant(wp.uint32((1 << (COLORS - 1)) - 1))
 """Mask of a body at which all colours except the last are in use."""
 
-SERIAL = wp.constant(COLORS - 1)
+SERIAL = COLORS - 1
 """The colour of constraints that are solved serially."""
 
 UNCOLORED = wp.constant(-1)
@@ -133,14 +131,14 @@ def add_colors(env: int, begin: int, graph: Graph, order: Order):
     """One lane: first entry of each colour, and the number of colours. Used colours are consecutive, except SERIAL."""
     at = int(begin)
     count = int(0)
-    for color in range(MOST_COLORS):
+    for color in range(COLORS):
         order.color_start[env, color] = at
         members = graph.tally[env, color]
         graph.tally[env, color] = at
         at += members
         if members > 0:
             count = color + 1
-    order.color_start[env, MOST_COLORS] = at
+    order.color_start[env, COLORS] = at
     order.color_count[env] = count
 
 
@@ -171,7 +169,7 @@ def group_constraints(team: Team, envs: Environments, constraints: Constraints, 
     end = constraints.start[env + 1]
     for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
         graph.support_count[b] = 0
-    for color in range(team.lane, MOST_COLORS, team.lanes):
+    for color in range(team.lane, COLORS, team.lanes):
         graph.tally[env, color] = 0
     if team.lane == 0:
         graph.level_count[env] = 0

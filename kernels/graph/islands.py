@@ -48,10 +48,6 @@ from warp_rigid.kernels.tuning import (
 
 wp.set_module_options({"enable_backward": False})
 
-MOST_PAIRS = wp.constant(MOST_SHARING)
-"""Maximum number of pairs that share a body's mass in rounds."""
-
-
 LOWEST = wp.constant(-1.0e30)
 
 
@@ -157,7 +153,7 @@ def vote(dt: float, shapes: Shapes, bodies: Bodies, envs: Environments, motions:
     raise_to(island, bodies.mass[b], graph.island_mass)
     raise_to(island, bodies.inverse_mass[b], graph.island_inverse_mass)
     add_together(graph.bouncing_votes, island, wp.where(bodies.restitution[b] > 0.0, 1, 0))
-    if graph.tied[b] == 1 or graph.touching[b] > MOST_PAIRS:
+    if graph.tied[b] == 1 or graph.touching[b] > MOST_SHARING:
         graph.needs_sweeps[island] = 1
 
 

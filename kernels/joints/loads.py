@@ -43,7 +43,7 @@ from warp_rigid.kernels.schema import ContactRecord, Contacts, Graph, Motions, O
 from warp_rigid.kernels.solve.gauss_seidel import is_of_level, solve_constraint
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
 from warp_rigid.kernels.solve.shock import island_of
-from warp_rigid.kernels.tuning import CONVERGED
+from warp_rigid.kernels.tuning import CONVERGED, PAIR_ITERATIONS
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -54,9 +54,6 @@ Sweeps converge up to about ten."""
 MOST_WORK = wp.constant(2048)
 """Largest product of a mechanism's bodies and touching pairs with which its contacts are solved where the joints hold,
 unless it carries a load. A visit takes a time proportional to the bodies, too long for a chain on the ground."""
-
-VISIT_ITERATIONS = wp.constant(4)
-"""Maximum iterations over the contacts of a pair in a visit."""
 
 
 class Load(IntEnum):
@@ -457,7 +454,7 @@ def solve_alone(start: int, entry: OrderRecord, motions: Motions, contacts: Cont
     first = float(0.0)
     if start == 1:
         distribute_contact_load(entry.begin, entry.end, contacts)
-    left = int(VISIT_ITERATIONS)
+    left = int(PAIR_ITERATIONS)
     while left > 0:
         visit.change = 0.0
         for c in range(entry.begin, entry.end):

@@ -12,7 +12,6 @@ from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, part_of_team, 
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import (
-    VISIT_ITERATIONS,
     Visit,
     answer_pair,
     open_visit,
@@ -23,7 +22,7 @@ from warp_rigid.kernels.joints.loads import (
 )
 from warp_rigid.kernels.joints.turns import begin_of_turn, end_of_turn, visited_pair
 from warp_rigid.kernels.schema import Contacts, Motions, Order, OrderRecord
-from warp_rigid.kernels.tuning import PUSH_OUT_CONVERGED
+from warp_rigid.kernels.tuning import PAIR_ITERATIONS, PUSH_OUT_CONVERGED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -100,7 +99,7 @@ def push_alone(entry: OrderRecord, motions: Motions, contacts: Contacts, joints:
     visit.pair = with_velocities(visit.a, visit.b, PUSH, visit.pair, motions)
     visit = push_together(entry, visit, contacts, joints)
     first = float(0.0)
-    left = int(VISIT_ITERATIONS)
+    left = int(PAIR_ITERATIONS)
     while left > 0:
         visit.change = 0.0
         for c in range(entry.begin, entry.end):

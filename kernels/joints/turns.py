@@ -22,7 +22,7 @@ from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_en
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-MARKED_TURNS = wp.constant(32 * TURN_WORDS)
+MARKED_TURNS = 32 * TURN_WORDS
 """Number of turns that are marked at each body. A pair that finds none of them free comes after the last turns."""
 
 ALL_TURNS_TAKEN = wp.constant(wp.uint32(0xFFFFFFFF))

@@ -11,7 +11,6 @@ from warp_rigid.engine.moving_ground import build_surfaces
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
 from warp_rigid.kernels import declare, schema, tuning
-from warp_rigid.kernels.collide import ccd
 from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.body_columns import column, is_dynamic, shapes_of
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -21,6 +20,13 @@ from warp_rigid.scene.shapes import Shape
 
 OVERSIZED = 4.0
 """A dynamic body more than this many times larger than the median is not of ordinary size."""
+
+
+FEWEST_ROUNDS, MOST_ROUNDS = 16, 32
+"""Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain, so there are as many
+rounds as bodies. A body in a hollow one, which lands, is hit several times. The rounds end when no body is hit: a heap
+of 4096 boxes that lands takes 9 on average, and sometimes more than the maximum. With 8 at most, its boxes overlap by
+48 mm instead of 20 mm, of 200 mm."""
 
 
 class SizeGroups(NamedTuple):
@@ -164,7 +170,7 @@ def impact_rounds(scene: Scene) -> int:
     """Rounds of continuous collision detection in an environment."""
     mechanisms = joints.mechanisms_of(scene).members
     alone = int(is_dynamic(scene.bodies).sum()) - sum(map(len, mechanisms))
-    return min(max(alone + tuning.TURNS_OF_A_MECHANISM * len(mechanisms), ccd.FEWEST_TURNS), ccd.MOST_TURNS)
+    return min(max(alone + tuning.TURNS_OF_A_MECHANISM * len(mechanisms), FEWEST_ROUNDS), MOST_ROUNDS)
 
 
 def _out_of_bounds(scene: Scene) -> OutOfBounds:
