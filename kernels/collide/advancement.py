@@ -17,17 +17,6 @@ from warp_rigid.kernels.tuning import ALLOWED_DEPTH, CLOSE_ENOUGH
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-ADVANCES = wp.constant(64)
-"""Maximum number of advances. A pair that needs more counts as touching at the time reached."""
-
-USED_UP = wp.constant(0.25)
-"""Another axis is searched for when the gap, plus the allowed depth, is this fraction of what it was when the axis was
-found. Axes turn with the second solid, so their gaps shrink where the solids only turn."""
-
-EXACT_ADVANCES = wp.constant(16.0)
-"""The tolerance grows with the square of the number of advances, and has doubled after this many: solids that brush
-past each other near the allowed depth would need many."""
-
 
 @wp.func
 def fastest_closing(axis: wp.vec3, first: Course, second: Course, t: float):
@@ -104,10 +93,15 @@ def impact_of_solids(
         solids.a = placed_solid(solids.a, pose_in(first, second, begin), local)
         gap = gap_along(solids, shapes, n)
     advances = int(0)
-    while advances < ADVANCES:
-        excess = float(advances) / EXACT_ADVANCES
+    # A pair that needs more counts as touching at the time reached.
+    while advances < 64:
+        # The tolerance grows, and has doubled after 16 advances: solids that brush past each other near the allowed
+        # depth would need many.
+        excess = float(advances) / 16.0
         close = CLOSE_ENOUGH * size * (1.0 + excess * excess)
-        if gap + allowed < wp.max(USED_UP * found, close):
+        # Axes turn with the second solid: another one is searched for when a quarter is left of the gap to the allowed
+        # depth.
+        if gap + allowed < wp.max(0.25 * found, close):
             n = find_axis(solids, shapes, n, -0.5 * allowed)
             gap = gap_along(solids, shapes, n)
             at_end = gap_along(last, shapes, n)

@@ -20,14 +20,12 @@ from warp_rigid.kernels.schema import Bodies, Cells, Environments, History, Moti
 
 wp.set_module_options({"enable_backward": False})
 
-KINEMATIC_AND_ASLEEP = wp.constant(int(Role.KINEMATIC | Role.ASLEEP))
-
 
 @wp.func
 def may_meet(a: int, b: int):
     """Whether bodies with these roles can come into contact: at least one moves, and at least one responds."""
     both = a | b
-    return a != Role.ABSENT and b != Role.ABSENT and ((both & Role.FREE) != 0 or both == KINEMATIC_AND_ASLEEP)
+    return a != Role.ABSENT and b != Role.ABSENT and ((both & Role.FREE) != 0 or both == (Role.KINEMATIC | Role.ASLEEP))
 
 
 @wp.func

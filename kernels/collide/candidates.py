@@ -29,9 +29,6 @@ wp.set_module_options({"enable_backward": False})
 FAT_MARGIN = wp.constant(0.2)
 """Distance between the swept box and the fat box, as a fraction of the body's size."""
 
-STEPS_AHEAD = wp.constant(3.0)
-"""Steps whose motion, at the present velocity, a fat box encloses besides the current one."""
-
 LEVELS = 24
 TOP = LEVELS - 1
 """The highest level, of bodies too large for any other. It has one cell, since a box of it may have any extent."""
@@ -42,16 +39,11 @@ FINER_LEVELS = 8
 LONGEST = wp.constant(256)
 """A body with more candidates has no list."""
 
-MOST_CANDIDATES = wp.constant(2**30)
-"""Largest capacity for candidates of all bodies together, so that it can be counted in 32 bits."""
-
 ALL_LATER = wp.constant(-1)
 """Length of the list of a body whose candidates are all later bodies."""
 
 HASH_MULTIPLIER = wp.constant(wp.uint32(0x9E3779B9))
 """2^32 divided by the golden ratio, odd (Fibonacci hashing)."""
-
-FURTHEST_CELL = wp.constant(1.0e9)
 
 
 @wp.func
@@ -65,7 +57,8 @@ def cell_along(x: float, level: int, smallest: float):
     """Index of the cell of a level at a coordinate along an axis."""
     if level == TOP:
         return int(0)
-    return int(wp.floor(wp.clamp(x / cell_width(level, smallest), -FURTHEST_CELL, FURTHEST_CELL)))
+    # Within 32 bits.
+    return int(wp.floor(wp.clamp(x / cell_width(level, smallest), -1.0e9, 1.0e9)))
 
 
 @wp.func
@@ -138,7 +131,8 @@ def enlarge_boxes(
     upper = motions.upper[i]
     if bodies.motion[i] != Motion.STATIC:
         margin = FAT_MARGIN * shapes.shapes[bodies.shape[i]].size
-        travel = STEPS_AHEAD * dt * motions.solver_bodies[i].linear
+        # Room for the present step and three more.
+        travel = 3.0 * dt * motions.solver_bodies[i].linear
         nothing = wp.vec3(0.0, 0.0, 0.0)
         lower += wp.min(travel, nothing) - wp.vec3(margin, margin, margin)
         upper += wp.max(travel, nothing) + wp.vec3(margin, margin, margin)
@@ -256,7 +250,8 @@ def finish_lists(
     if cells.stale[bodies.env[i]] == 0:
         return
     count = cells.listed[i]
-    if count > wp.min(LONGEST, MOST_CANDIDATES / cells.listed.shape[0]):
+    # The candidates of all bodies together must be counted in 32 bits.
+    if count > wp.min(LONGEST, (1 << 30) / cells.listed.shape[0]):
         cells.listed[i] = ALL_LATER
         return
     if count > room:

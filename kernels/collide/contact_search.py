@@ -10,15 +10,9 @@ from warp_rigid.kernels.tuning import RIM_FLAT
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-FLAT = wp.constant(0.01)
-"""Slope of the distance along an edge below which the edge lies flat."""
-
 CURVED = wp.constant(1.0e-3)
 """A distance is curved, not kinked, if it lies above its tangent by more than this fraction of the interval, or if its
 slope differs from those at both ends by more than this fraction of their difference."""
-
-ROUNDED_OFF = wp.constant(1.0e-3)
-"""Tangents that meet outside of the interval, by less than this fraction of its length, count as meeting at its end."""
 
 ASIDE = wp.constant(0.01)
 """Offset from a crossing at which the gradients on both sides are evaluated, and from a doubtful point at which the
@@ -130,7 +124,7 @@ def slope_at(search: Search, t: float, d: wp.vec4):
 @wp.func
 def flat_slope(search: Search):
     """Slope of the distance below which an edge or arc lies flat."""
-    return wp.where(wp.dot(search.curvature, search.curvature) > 0.0, RIM_FLAT, FLAT)
+    return wp.where(wp.dot(search.curvature, search.curvature) > 0.0, RIM_FLAT, 0.01)
 
 
 @wp.func
@@ -153,7 +147,8 @@ def next_inside(search: Search, curved: bool):
     t = (search.low[3] - search.high[3] + rise) / bend
     if curved:
         t = search.left - search.slope_low * width / bend
-    outside = t < search.left - ROUNDED_OFF * width or t > search.right + ROUNDED_OFF * width
+    # Tangents that meet just outside, through rounding, count as meeting at the end.
+    outside = t < search.left - 1.0e-3 * width or t > search.right + 1.0e-3 * width
     flat = flat_slope(search)
     if outside or search.slope_low > flat or search.slope_high < -flat:
         t = 0.5 * (search.left + search.right)

@@ -27,9 +27,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 FLAT_ENOUGH = wp.constant(1.0e-4)
 """A portal is a face of the difference if no point lies beyond it by more than this fraction of the smaller size."""
 
-PORTAL_ROUNDS = wp.constant(40)
-"""Maximum number of points of a search for the face through which a ray leaves."""
-
 DESCENTS = wp.constant(8)
 """Maximum number of rays along which the depth is reduced."""
 
@@ -287,7 +284,8 @@ def leave(solids: Solids, shapes: Shapes, start: wp.vec3, ray: wp.vec3, reach: f
     portal.stage = PortalStage.RAY
     portal.normal = ray
     rounds = int(0)
-    while portal.stage != PortalStage.FOUND and rounds < PORTAL_ROUNDS:
+    # At most 40 points.
+    while portal.stage != PortalStage.FOUND and rounds < 40:
         n = unit_or(portal.normal, ray)
         portal.normal = n
         corner = difference(solids, shapes, n)

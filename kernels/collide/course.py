@@ -23,13 +23,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 TURNING_ARM = wp.constant(0.5)
 """A rotation counts as the velocity at this fraction of the radius, which is close to the radius of gyration."""
 
-SPIN_ABOUT_AXIS = wp.constant(1.0e-6)
-"""A body spins about its axis of symmetry if the square of the rest of its spin is below this fraction of that of the
-spin. Rounding errors are far below. If the axis turned, too, the surface would not turn as by the rest alone."""
-
-STRAIGHT = wp.constant(1.0e-3)
-"""Angle up to which the motion of a point with a rotating body counts as straight [rad]."""
-
 
 class Lead(IntEnum):
     """Numbers of bodies in `lead_of` that no other body carries; a body has one less than the one that carries it."""
@@ -105,7 +98,8 @@ def course_of(b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Mot
         course.angular = motions.time_of_impact[b] * motions.solver_bodies[b].angular + motions.shared_spin[b]
     if motions.role[b] == Role.KINEMATIC:
         turning = spin_of_surface(b, course.angular, shapes, bodies, state)
-        if wp.length_sq(turning) < SPIN_ABOUT_AXIS * wp.length_sq(course.angular):
+        # Rounding errors are far below. If the axis turned, too, the surface would not turn as by the rest alone.
+        if wp.length_sq(turning) < 1.0e-6 * wp.length_sq(course.angular):
             course.angular = turning
     return course
 
@@ -129,7 +123,8 @@ def velocity_at(p: wp.vec3, course: Course):
 @wp.func
 def mean_velocity_at(p: wp.vec3, course: Course, duration: float):
     """Mean velocity of a point that moves with a body for a time: along the chord of its arc [m/s]."""
-    if duration * wp.length(course.angular) < STRAIGHT:
+    # Motion by such a small angle [rad] counts as straight.
+    if duration * wp.length(course.angular) < 1.0e-3:
         return velocity_at(p, course)
     arm = p - course.center
     return course.linear + (wp.quat_rotate(rotation_after(course.angular, duration), arm) - arm) / duration

@@ -28,24 +28,9 @@ from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-CLIMBS = wp.constant(6)
-"""Directions that are climbed along at most."""
-
-CUTS = wp.constant(12)
-"""Points at most between the ends of a direction."""
-
 FINE_GAIN = wp.constant(1.0e-3)
 FINEST_GAIN = wp.constant(2.0e-6)
 """A gain below FINE_GAIN times the depth plus FINEST_GAIN times the smaller size ends the search."""
-
-AHEAD = wp.constant(0.25)
-"""Length of the step that finds the direction in which the border of a piece can be followed, in radii of the piece."""
-
-NEARBY = wp.constant(1.0e-3)
-"""Length over which the derivative of the map is taken, in radii of the piece."""
-
-INSIDE_ANOTHER_PART = wp.constant(1.0e-4)
-"""A point of a part this deep in another part of its body, in sizes, is not on the surface."""
 
 
 @wp.struct
@@ -185,7 +170,8 @@ def is_hidden(shapes: Shapes, view: View, x: wp.vec3):
         return False
     p = wp.quat_rotate(shapes.parts[view.part].orientation, x) + shapes.parts[view.part].position
     d = true_distance(shapes, view.own, p, 0.0)
-    return d[3] < -INSIDE_ANOTHER_PART * shapes.shapes[view.own].size
+    # A point so deep in another part is not on the surface.
+    return d[3] < -1.0e-4 * shapes.shapes[view.own].size
 
 
 @wp.func(inline=False)
@@ -198,7 +184,8 @@ def probe(shapes: Shapes, view: View, facet: Facet, p: wp.vec3):
     found.depth = -d[3]
     slope = -wp.quat_rotate_inv(view.turn, wp.vec3(d[0], d[1], d[2]))
     if view.mapped == 1:
-        step = NEARBY * facet.radius
+        # The derivative of the map.
+        step = 1.0e-3 * facet.radius
         slope = (surface_point(shapes, view, p + step * slope) - x) / step
     found.slope = slope - wp.dot(slope, facet.normal) * facet.normal
     if is_hidden(shapes, view, x):
@@ -239,7 +226,7 @@ def close_in(shapes: Shapes, view: View, facet: Facet, here: Probe, there: Probe
     bracket.high = there
     u = wp.normalize(there.point - here.point)
     cut = int(0)
-    while cut < CUTS:
+    while cut < 12:
         low = bracket.low.depth
         high = bracket.high.depth
         rise = wp.dot(bracket.low.slope, u)
@@ -289,10 +276,11 @@ def ascend(shapes: Shapes, view: View, facet: Facet, start: Probe):
     found.top = start
     direction = start.slope
     failures = int(0)
-    for _ in range(CLIMBS):
+    for _ in range(6):
         here = found.top
         gain = view.fine + FINE_GAIN * wp.max(here.depth, 0.0)
-        step = AHEAD * facet.radius / wp.max(wp.length(direction), 1.0e-12)
+        # This step finds the direction in which the border can be followed.
+        step = 0.25 * facet.radius / wp.max(wp.length(direction), 1.0e-12)
         along = (on_facet(facet, here.point + step * direction) - here.point) / step
         slope = wp.length(along)
         length = way_out(facet, here.point, along / wp.max(slope, 1.0e-12))

@@ -33,16 +33,6 @@ smaller because vertices and edges have wide normal cones."""
 OVERLAP = wp.constant(1.05)
 """Factor by which edge segments are extended for the search."""
 
-BEYOND = wp.constant(1.01)
-"""Points beyond this many half-lengths belong to the next segment, or lie past the end of the edge."""
-
-STEEP = wp.constant(0.05)
-"""Slope of the distance above which an edge crosses another edge instead of lying along it."""
-
-BESIDE = wp.constant(1.0e-3)
-"""Offset from the point where an edge leaves a face at which the gradient is evaluated, as a fraction of the
-half-length."""
-
 
 class EdgeStage(IntEnum):
     """Stages of the search along an edge."""
@@ -120,7 +110,8 @@ def edge_has_ends(search: Search, convex: int):
     flat = flat_slope(search)
     if not has_minimum(search.slope_low, search.slope_high, search.low[3], search.high[3], flat):
         return nowhere(search)
-    search.crossing = wp.where(search.slope_low < -STEEP and search.slope_high > STEEP, 1, 0)
+    # The edge crosses another edge instead of lying along it.
+    search.crossing = wp.where(search.slope_low < -0.05 and search.slope_high > 0.05, 1, 0)
     search.turning = 0.0
     if wp.abs(search.slope_high) <= flat:
         search.turning = -2.0 * flat
@@ -140,7 +131,7 @@ def stays_above(search: Search, reach: float, convex: int):
 def to_flat_side(search: Search):
     """Small offset along an edge, from where it leaves a face (where two faces are equally near) onto that face."""
     left = wp.abs(search.slope_low) < wp.abs(search.slope_high)
-    return wp.where(left, -BESIDE, BESIDE) * search.half * direction_at(search, search.t)
+    return wp.where(left, -1.0e-3, 1.0e-3) * search.half * direction_at(search, search.t)
 
 
 @wp.func
@@ -198,7 +189,8 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     if search.stage < EdgeStage.LAST_INSIDE and not found:
         after.stage = search.stage + 1
         return after
-    if wp.abs(before) > BEYOND * search.half:
+    # The point belongs to the next segment, or lies past the end of the edge.
+    if wp.abs(before) > 1.01 * search.half:
         return nowhere(search)
     if wp.abs(before) > search.half:
         search.stage = EdgeStage.CLAMPED

@@ -11,10 +11,6 @@ from warp_rigid.kernels.schema import Shapes
 wp.set_module_options({"enable_backward": False})
 
 
-BORDER_MARGIN = wp.constant(2.0e-3)
-"""A point beyond the border by less than this fraction of a body's size counts as above the field."""
-
-
 @wp.struct
 class Nearest:
     """The nearest point found so far: squared distance, vector from it to the query point, normal of its triangle."""
@@ -168,7 +164,8 @@ def distance_to_heights(shapes: Shapes, part: int, p: wp.vec3, near: float, deep
             distance = wp.where(gap < 0.0, -length, length)
             n = best.arm / distance
     away = p - inside
-    margin = wp.min(BORDER_MARGIN * deep, 1.0e-3 * size[0] / float(dims[0] - 1))
+    # A point that is hardly beyond the border counts as above the field.
+    margin = wp.min(2.0e-3 * deep, 1.0e-3 * size[0] / float(dims[0] - 1))
     if wp.length_sq(away) > margin * margin:
         above = wp.max(distance, 0.0)
         reach = wp.sqrt(above * above + wp.length_sq(away))

@@ -20,12 +20,6 @@ from warp_rigid.kernels.tuning import SAME_PATCH
 
 wp.set_module_options({"enable_backward": False})
 
-ALIKE = wp.constant(1.0001)
-"""Squared distances whose ratio is below this value belong to the same place."""
-
-RIDGE = wp.constant(-1)
-"""In place of a triangle: the nearest point lies on an edge or a corner."""
-
 
 @wp.func
 def keep_foot(triangle: int, p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, within: float, places: Places):
@@ -59,9 +53,11 @@ def height_places(shapes: Shapes, part: int, p: wp.vec3, nearest: wp.vec4, withi
     squared = nearest[3] * nearest[3]
     for k in range(places.count):
         known = wp.vec3(places.direction[k, 0], places.direction[k, 1], places.direction[k, 2])
-        if wp.dot(known, n) > SAME_PATCH and places.squared[k] < ALIKE * squared:
+        # The nearest point is one of these places.
+        if wp.dot(known, n) > SAME_PATCH and places.squared[k] < 1.0001 * squared:
             return places
-    return keep_place(RIDGE, squared, n, places)
+    # Not on a triangle, but on an edge or a corner.
+    return keep_place(-1, squared, n, places)
 
 
 @wp.func

@@ -27,27 +27,8 @@ from warp_rigid.kernels.shape_arrays import read_node, read_triangle
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-PIECE = wp.constant(0.125)
-CELL = wp.constant(0.25)
-MOST_PIECES = wp.constant(32.0)
-"""Largest radius of a piece that is searched against a shape that is not convex: a fraction of its size, or of a height
-field's cells, but not less than the diagonal of the smaller body divided by a number."""
-
-FINEST_LEVEL = wp.constant(1 << 26)
-"""Pieces with a larger number are not divided: 13 levels."""
-
 ROUND_ERROR = wp.constant(1.0e-5)
 """Relative allowance for rounding when pieces are left out."""
-
-VISIBLE = wp.constant(0.125)
-"""A piece whose middle is inside another part of its body is divided down to this fraction of the largest radius."""
-
-STEEPEST = wp.constant(1.7321)
-"""Bound of the slope of the distance that is interpolated in the grid of a mesh with a fault."""
-
-AWAY = wp.constant(1000.0)
-ROOM = wp.constant(1.25)
-"""The extents of a part are taken from its distance this many sizes away, and enlarged by this factor."""
 
 
 @wp.func
@@ -85,7 +66,8 @@ def piece_of(facet: Facet, number: int):
 @wp.func
 def next_piece(number: int, divide: bool):
     """The number of the piece that follows: the first part of this one, or the next piece beside it; 0 at the end."""
-    if divide and number < FINEST_LEVEL:
+    # At most 13 levels.
+    if divide and number < (1 << 26):
         return 4 * number
     while (number & 3) == 3:
         number = number >> 2
@@ -105,7 +87,8 @@ def search_facet(shapes: Shapes, view: View, facet: Facet, env: int, deepest: wp
             if not divide:
                 middle = probe(shapes, view, piece, piece.center)
                 if middle.depth + (1.0 + ROUND_ERROR) * view.steepest * piece.radius > best:
-                    divide = middle.hidden == 1 and piece.radius > VISIBLE * view.piece
+                    # A piece whose middle is inside another part of its body is divided further.
+                    divide = middle.hidden == 1 and piece.radius > 0.125 * view.piece
                     if middle.hidden == 0:
                         wp.atomic_max(deepest, env, 0, climb(shapes, view, piece, middle))
         number = next_piece(number, divide)
@@ -137,13 +120,14 @@ def extents_of(shapes: Shapes, part: int):
     half = wp.vec3(size[0], size[1], size[2])
     if shapes.parts[part].kind == PartKind.BOX:
         return half
-    away = AWAY * wp.max(wp.max(half), size[3])
+    # The extents are taken from the distance a thousand sizes away, and enlarged by a quarter.
+    away = 1000.0 * wp.max(wp.max(half), size[3])
     for axis in range(3):
         p = wp.vec3(0.0, 0.0, 0.0)
         p[axis] = away
         d = analytic_distance(shapes.parts[part].kind, size, p, wp.vec3(0.0, 0.0, 0.0))
         e = analytic_distance(shapes.parts[part].kind, size, -p, wp.vec3(0.0, 0.0, 0.0))
-        half[axis] = ROOM * (away - wp.min(d[3], e[3]))
+        half[axis] = 1.25 * (away - wp.min(d[3], e[3]))
     return half
 
 
@@ -199,11 +183,12 @@ def largest_piece(shapes: Shapes, own: int, other: int):
     """Largest radius of a piece of one shape that can have only one deepest point in the other, roughly [m]."""
     if shapes.shapes[other].convex == 1 or shapes.shapes[other].hull_end > shapes.shapes[other].hull_start:
         return FAR
-    feature = PIECE * shapes.shapes[other].size
+    # A fraction of a size, or of a cell, but at most 32 pieces along the diagonal of the smaller body.
+    feature = 0.125 * shapes.shapes[other].size
     part = shapes.shapes[other].part_start
     if shapes.parts[part].kind == PartKind.HEIGHTFIELD:
-        feature = CELL * shapes.parts[part].grid_spacing
-    return wp.max(feature, wp.min(diagonal(shapes, own), diagonal(shapes, other)) / MOST_PIECES)
+        feature = 0.25 * shapes.parts[part].grid_spacing
+    return wp.max(feature, wp.min(diagonal(shapes, own), diagonal(shapes, other)) / 32.0)
 
 
 @wp.func
@@ -226,7 +211,8 @@ def view_of(own: int, other: int, part: int, shapes: Shapes, bodies: Bodies, sta
     view.steepest = 1.0
     for k in range(shapes.shapes[view.other].part_start, shapes.shapes[view.other].part_end):
         if shapes.parts[k].kind == PartKind.GRID and shapes.parts[k].tree_start == shapes.parts[k].tree_end:
-            view.steepest = STEEPEST
+            # The slope of an interpolated distance is at most sqrt(3).
+            view.steepest = 1.7321
     return view
 
 

@@ -29,20 +29,9 @@ from warp_rigid.kernels.tuning import RIM_FLAT, RIM_LEAN
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-ALL_OF_EDGE = wp.constant(2.2)
-"""If an edge touches, all of it is within this number of half-lengths of the surface, besides its radius. The axis of a
-rod needs exact distances up to there: it may end outside a grid, where the slope of the bound is wrong."""
-
 MUCH_DEEPER = wp.constant(3.0)
-DEEPER = wp.constant(0.1)
-"""The distance to the face that a point opposes may be MUCH_DEEPER times as deep as that to the nearest face, plus
-DEEPER times the size."""
-
-PARALLEL = wp.constant(1.0e-3)
-"""An edge whose half-length covers less than this fraction of a grid's side is not clipped to that side."""
-
-HALF_ARC = wp.constant(math.pi / RIM_ARCS)
-"""Angle from the middle of an arc to its ends [rad]."""
+"""The distance to the face that a point opposes may be so many times as deep as that to the nearest face, plus a tenth
+of the size."""
 
 
 @wp.func
@@ -112,7 +101,7 @@ def point_next(search: Search, d: wp.vec4, size: float, flat: int, thin: int):
     of a mesh has entered slightly, the points on its other side oppose only distant faces. Both are rejected.
     """
     if search.stage == SearchStage.POINT_AGAIN:
-        deepest = wp.where(flat == 1, 2.0 * d[3] - BORDER * size, MUCH_DEEPER * d[3] - DEEPER * size)
+        deepest = wp.where(flat == 1, 2.0 * d[3] - BORDER * size, MUCH_DEEPER * d[3] - 0.1 * size)
         if search.distance < deepest:
             return nowhere(search)
         search.stage = SearchStage.DONE
@@ -141,7 +130,8 @@ def clip_to_grid(search: Search, shapes: Shapes, shape: int):
     for axis in range(3):
         lower = shapes.parts[part].grid_origin[axis]
         upper = lower + shapes.parts[part].grid_spacing * float(shapes.parts[part].grid_dims[axis] - 1)
-        if wp.abs(along[axis]) * search.half > PARALLEL * (upper - lower):
+        # An edge that hardly moves along a side is not clipped to it.
+        if wp.abs(along[axis]) * search.half > 1.0e-3 * (upper - lower):
             one = (lower - start[axis]) / along[axis]
             other = (upper - start[axis]) / along[axis]
             search.first = wp.max(search.first, wp.min(one, other))
@@ -172,7 +162,8 @@ def begin_search(sample: SampleRecord, approach: Approach, weight: float, shapes
         search.along = slide / search.half
         if kind == SampleKind.ARC:
             outward = wp.normalize(search.normal + wp.cross(search.normal, search.along))
-            search.curvature = HALF_ARC / search.half * outward
+            # The curvature is the angle from the middle of the arc to its ends over the length.
+            search.curvature = wp.static(math.pi / RIM_ARCS) / search.half * outward
         search.first = -OVERLAP * search.half
         search.last = OVERLAP * search.half
         search.left = search.first
@@ -220,7 +211,9 @@ def bring_to_touch(s: int, approach: wp.ref[Approach], weight: float, shapes: wp
     if edge:
         exact_below = radius + shapes.shapes[shape].cell
         if radius > 0.0:
-            exact_below += ALL_OF_EDGE * search.half
+            # The axis of a rod needs exact distances along all of it if it touches: it may end outside a grid, where
+            # the slope of the bound is wrong.
+            exact_below += 2.2 * search.half
     while search.stage >= 0:
         to_place = corners and search.stage >= SearchStage.BALL_CENTER
         d = contact_distance(shapes, shape, search.query, search.facing, wp.where(to_place, -FAR, exact_below))

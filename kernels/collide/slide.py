@@ -30,9 +30,6 @@ NEARER_HALF = wp.constant(0.505)
 ENOUGH = wp.constant(2.0e-5)
 """A slide does not begin, or ends, when the distance may fall by less than this fraction of the size."""
 
-SAME_FACE = wp.constant(0.5)
-"""Smallest cosine between the normals of two faces between which the normal of a crossing is mixed."""
-
 
 @wp.func
 def may_slide(own_shape: int, shape: int, shapes: Shapes):
@@ -87,7 +84,8 @@ def end_slide(search: Search):
     search.stage = SearchStage.DONE
     before = gradient(search.low)
     after = gradient(search.high)
-    if search.distance < search.first and wp.dot(before, after) > SAME_FACE:
+    # Only normals of faces within 60 degrees of each other are mixed.
+    if search.distance < search.first and wp.dot(before, after) > 0.5:
         search = cross_faces(search, before, after, search.slope_high, -search.slope_low)
     return search
 

@@ -26,14 +26,6 @@ from warp_rigid.kernels.update.predict import smaller_size
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
-CROSSING_EDGE = wp.constant(0.1)
-"""Largest cosine between an edge and the normal of a surface that it crosses. At an end of an edge the cosine is
-larger. That point is a corner; points beside it would stop it at the next tile."""
-
-PATH_DISTANCES = wp.constant(6)
-"""Maximum number of distances along a path. They are enough for curved surfaces."""
-
-
 @wp.struct
 class Way:
     """The path of a sample in the frame of the other body.
@@ -106,7 +98,8 @@ def way_of(
 @wp.func
 def is_inside_edge(s: int, placed: Search, shapes: Shapes):
     """Whether the nearest point of a sample is a point of an edge between its ends."""
-    across = wp.abs(wp.dot(placed.along, placed.direction)) < CROSSING_EDGE
+    # At an end the cosine is larger. That point is a corner; points beside it would stop it at the next tile.
+    across = wp.abs(wp.dot(placed.along, placed.direction)) < 0.1
     return shapes.samples[s].kind == SampleKind.EDGE and across
 
 
@@ -154,7 +147,8 @@ def stays_outside(
     high = float(0.0)
     rise = float(0.0)
     t = wp.where(low < -allowed, 0.0, right)
-    for _round in range(PATH_DISTANCES):
+    # Enough for curved surfaces.
+    for _round in range(6):
         x = place_at(own, other, way.arm, wp.min(t, 1.0) * dt) + wp.max(t - 1.0, 0.0) * way.step
         d = signed_distance(shapes, other.shape, x, near)
         gap = d[3] - way.radius

@@ -31,11 +31,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 TRACE_ROUNDS = wp.constant(64)
 """Maximum rounds of a trace; a trace that needs more counts as touching at the point reached."""
 
-BALL_ROUNDS = wp.constant(8)
-"""As TRACE_ROUNDS, for a bounding sphere and a mesh. In a pile of bunnies, 99 of 100 need fewer. The others move along
-a surface, and count as touching at the point reached, so that their samples are tested from there on."""
-
-
 EDGE_ROUNDS = wp.constant(4)
 """Rounds of the search for the deepest point of an edge; a V-shaped distance takes one."""
 
@@ -103,7 +98,7 @@ def trace(
     """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`.
 
     With a `slack` other than zero, which is that of a bounding sphere, the distance to a mesh is that of its grid, and
-    may be that much too large; BALL_ROUNDS limits the rounds.
+    may be that much too large; few rounds are enough.
     """
     other_spin = wp.length(other.angular)
     away = wp.length(own.center + arm - other.center)
@@ -111,7 +106,9 @@ def trace(
     curve = wp.length_sq(own.angular) * wp.length(arm) + other_spin * (2.0 * speed + other_spin * away)
     near = wp.where(slack > 0.0, -FAR, radius + shapes.shapes[other.shape].cell)
     t = float(begin)
-    for _round in range(wp.where(slack > 0.0, BALL_ROUNDS, TRACE_ROUNDS)):
+    # In a pile of bunnies, 99 of 100 bounding spheres need fewer rounds. The others move along a surface, and count as
+    # touching at the point reached, so that their samples are tested from there on.
+    for _round in range(wp.where(slack > 0.0, 8, TRACE_ROUNDS)):
         x = place_at(own, other, arm, t)
         d = signed_distance(shapes, other.shape, x, near)
         left = d[3] - slack - radius + allowed

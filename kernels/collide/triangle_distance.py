@@ -51,13 +51,6 @@ LIKELY_ERROR = wp.constant(0.2)
 ON_SURFACE = wp.constant(2.0e-3)
 """Within this fraction of a cell of the surface the direction is the normal: rounding errors would turn the offset."""
 
-ASKEW = wp.constant(-0.5)
-"""The normal of a side or corner opposes a sample only if their scalar product is below this value. Where the edges of
-two equal bodies coincide, it is a mixture of the face in contact and of faces beside it."""
-
-ALONG_NORMAL = wp.constant(0.9999)
-"""Squared cosine above which a direction counts as that of the normal."""
-
 
 class Feature(IntEnum):
     """Feature of a triangle: SIDE + k is the side from corner k to the next, CORNER + k is corner k."""
@@ -248,7 +241,9 @@ def border_width(shapes: Shapes, part: int):
 def is_opposed(normal: wp.vec3, facing: wp.vec3, feature: int):
     """Whether the normal of a feature opposes a sample, or there is no sample normal."""
     cosine = wp.dot(normal, facing)
-    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == Feature.FACE, OPPOSING, ASKEW)
+    # Where the edges of two equal bodies coincide, the normal of a side or corner is a mixture of the face in contact
+    # and of faces beside it.
+    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == Feature.FACE, OPPOSING, -0.5)
 
 
 @wp.func
@@ -304,7 +299,7 @@ def triangle_distance(
 def is_upright(foot: Foot, normal: wp.vec3):
     """Whether a point lies above its foot on a triangle; the foot may lie on the border to a face in the same plane."""
     height = wp.dot(foot.offset, normal)
-    aligned = foot.feature == Feature.FACE or height * height > ALONG_NORMAL * wp.length_sq(foot.offset)
+    aligned = foot.feature == Feature.FACE or height * height > 0.9999 * wp.length_sq(foot.offset)
     return height > 0.0 and aligned
 
 

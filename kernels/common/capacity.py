@@ -9,10 +9,6 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 
-UNCOUNTABLE = wp.constant(2**31 - 1)
-"""Recorded in place of totals that exceed 32 bits."""
-
-
 @wp.kernel
 def note_wanted(which: int, start: wp.array[int], wanted_row: wp.array[int], wanted: wp.array2d[int]):
     """Record the largest number of entries required in this step; `start` holds the exclusive sums of counts >= 0.
@@ -21,7 +17,8 @@ def note_wanted(which: int, start: wp.array[int], wanted_row: wp.array[int], wan
     """
     i = wp.tid()
     if start[i] < 0:
-        wp.atomic_max(wanted, wanted_row[0], which, UNCOUNTABLE)
+        # In place of a total that exceeds 32 bits.
+        wp.atomic_max(wanted, wanted_row[0], which, 0x7FFFFFFF)
     elif i == start.shape[0] - 1:
         wp.atomic_max(wanted, wanted_row[0], which, start[i])
 

@@ -9,15 +9,6 @@ from warp_rigid.kernels.schema import Bodies, Shapes, State
 
 wp.set_module_options({"enable_backward": False})
 
-CENTERED = wp.constant(1.0e-3)
-"""Largest distance of the centre of mass from an axis of symmetry on which it lies, as a fraction of the size."""
-
-LEAST_ANGLE = wp.constant(1.0e-6)
-"""Smaller rotations are rounding errors of bodies at rest [rad]."""
-
-SMALL_ANGLE = wp.constant(0.1)
-"""Below this angle the series of the sine is more accurate than the sine [rad]."""
-
 
 class Symmetry(IntEnum):
     """Symmetry about the centre of mass: none, about the axis of a cylinder or capsule, or about every axis."""
@@ -49,7 +40,8 @@ def chord_velocity(angular: wp.vec3, arm: wp.vec3, t: float):
     axis = angular / speed
     tangent = wp.cross(axis, arm)
     lag = wp.sin(angle) - angle
-    if angle < SMALL_ANGLE:
+    # The series is more accurate than the sine.
+    if angle < 0.1:
         lag = -angle * angle * angle * (1.0 / 6.0 - angle * angle / 120.0)
     half = wp.sin(0.5 * angle)
     return (lag * tangent + 2.0 * half * half * wp.cross(axis, tangent)) / t
@@ -69,7 +61,8 @@ def symmetry_of(b: int, shapes: Shapes, bodies: Bodies):
     if not ball:
         axis = wp.quat_rotate(shapes.parts[part].orientation, wp.vec3(0.0, 0.0, 1.0))
         offset -= wp.dot(offset, axis) * axis
-    if wp.length(offset) > CENTERED * shapes.shapes[shape].size:
+    # The centre of mass is not on the axis.
+    if wp.length(offset) > 1.0e-3 * shapes.shapes[shape].size:
         return Symmetry.NONE
     return wp.where(ball, Symmetry.BALL, Symmetry.ROUND)
 
@@ -101,7 +94,8 @@ def turn_of_surface(b: int, spin: wp.vec3, dt: float, shapes: Shapes, bodies: Bo
     """
     symmetry = symmetry_of(b, shapes, bodies)
     angle = dt * wp.length(spin)
-    if symmetry == Symmetry.BALL or angle < LEAST_ANGLE:
+    # Smaller rotations are rounding errors of bodies at rest.
+    if symmetry == Symmetry.BALL or angle < 1.0e-6:
         return wp.quat_identity()
     turn = wp.quat_from_axis_angle(wp.normalize(spin), angle)
     if symmetry == Symmetry.ROUND:

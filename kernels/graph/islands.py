@@ -48,8 +48,6 @@ from warp_rigid.kernels.tuning import (
 
 wp.set_module_options({"enable_backward": False})
 
-LOWEST = wp.constant(-1.0e30)
-
 
 @wp.func
 def root_of(b: int, parents: wp.array[int]):
@@ -91,8 +89,9 @@ def start_islands(bodies: Bodies, graph: Graph):
     graph.island_pairs[b] = 0
     graph.bouncing_votes[b] = 0
     graph.island_size[b] = 0.0
-    graph.island_low[b] = LOWEST
-    graph.island_high[b] = LOWEST
+    # Below every height, for maxima.
+    graph.island_low[b] = -1.0e30
+    graph.island_high[b] = -1.0e30
     graph.island_speed[b] = 0.0
     graph.island_mass[b] = 0.0
     graph.island_inverse_mass[b] = 0.0

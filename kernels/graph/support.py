@@ -33,8 +33,6 @@ wp.set_module_options({"enable_backward": False})
 UNKNOWN = wp.constant(-1)
 UNSUPPORTED = wp.constant(1 << 30)
 
-MOST_PASSES = wp.constant(4)
-
 
 class Support(IntFlag):
     """Which bodies of a constraint are supported by the other one."""
@@ -191,7 +189,7 @@ def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, co
 @wp.func
 def passes_of(team: Team):
     """Passes of a lane over its part between two barriers: propagation needs no fixed order, and barriers are slow."""
-    return wp.min(team.lanes, MOST_PASSES)
+    return wp.min(team.lanes, 4)
 
 
 @wp.func

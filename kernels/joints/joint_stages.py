@@ -73,9 +73,6 @@ AFTER_PASSES = wp.constant(2)
 MOST_OF_LARGEST = wp.constant(wp.float64(65536.0))
 """Largest contribution of a joint to the sums of the line search, in multiples of that of a contact."""
 
-FORGOTTEN = wp.constant(0)
-"""Value of `Graph.active_before` with which the next step computes islands, levels and colours again."""
-
 
 class Phase(IntEnum):
     """Phases of the sweeps: initial impulses, a sweep, a line search, the last direct solution, and their end."""
@@ -543,7 +540,8 @@ def end_joints(dt: float, envs: Environments, bodies: Bodies, motions: Motions, 
     torque = float(wp.length(angular)) / dt
     if force > joints.numbers[j, JointNumber.BREAK_FORCE] or torque > joints.numbers[j, JointNumber.BREAK_TORQUE]:
         joints.broken[j] = 1
-        graph.active_before[bodies.env[a]] = FORGOTTEN
+        # The next step computes islands, levels and colours again.
+        graph.active_before[bodies.env[a]] = 0
 
 
 @wp.kernel

@@ -51,10 +51,6 @@ HEAVY = wp.constant(8.0)
 """Ratio of masses from which a body that touches a mechanism is a load on it, and a mechanism one on its lightest body.
 Sweeps converge up to about ten."""
 
-MOST_WORK = wp.constant(2048)
-"""Largest product of a mechanism's bodies and touching pairs with which its contacts are solved where the joints hold,
-unless it carries a load. A visit takes a time proportional to the bodies, too long for a chain on the ground."""
-
 
 class Load(IntEnum):
     """Load of a mechanism: how its contacts are solved.
@@ -148,7 +144,8 @@ def find_touched(team: Team, order: Order, motions: Motions, joints: Joints):
     for m in range(begin, end, team.lanes):
         work = joints.touching[m] * (joints.first_member[m + 1] - joints.first_member[m])
         if joints.loaded[m] != Load.LOADED:
-            is_solved = work > 0 and work <= MOST_WORK and is_heavy(m, motions, joints)
+            # A visit takes a time proportional to the bodies, too long for a chain on the ground.
+            is_solved = work > 0 and work <= 2048 and is_heavy(m, motions, joints)
             joints.loaded[m] = wp.where(is_solved, wp.max(joints.loaded[m], Load.TOUCHED), Load.SWEPT)
     sync_team(team)
     return any_touched(team, joints)

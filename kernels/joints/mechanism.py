@@ -43,9 +43,6 @@ from warp_rigid.kernels.schema import Bodies, Graph, Motions, State
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-MOST_CHANGES = wp.constant(8)
-"""Maximum changes of modes in one solution, each with a new factorization."""
-
 MOST_PREDICTIONS = wp.constant(16)
 """Maximum solutions at newly predicted poses, at the start and at the end of a step. Two are enough for slow bodies."""
 
@@ -57,9 +54,6 @@ heavy bodies turn by a larger angle in a step than the square root of the ratio 
 poses, each solution is a projection of the pose: they converge as Newton's method does, and lose some energy. With a
 ratio of a tenth, gyroscopes lose their spin.
 """
-
-UNSETTLED = wp.constant(0.1)
-"""Residual of the last solution above which the solutions at predicted poses do not converge [m/s, rad/s]."""
 
 KEPT_ERROR = wp.constant(wp.float64(0.5))
 """Fraction of an error at the start of a step that may remain after it."""
@@ -316,7 +310,8 @@ def solve_mechanism(m: int, dt: float, is_stale: int, team: Team, motions: Motio
     `is_stale`: 1 if the factors are not those of the present modes.
     """
     change = float(0.0)
-    left = int(MOST_CHANGES)
+    # Each change of modes needs a new factorization.
+    left = int(8)
     stale = int(is_stale)
     while left > 0 or stale == 1:
         if stale == 1:
@@ -421,7 +416,8 @@ def settle_mechanism(
             last = change
             k = wp.where(left <= JOINT_SOLVED, MOST_PREDICTIONS, k + 1)
         stale = anew
-    unsettled = wp.where(last > UNSETTLED, 1, 0)
+    # The solutions at predicted poses do not converge [m/s, rad/s].
+    unsettled = wp.where(last > 0.1, 1, 0)
     if team.lane == 0:
         joints.unsettled[m] = unsettled
     if unsettled == 1 and exact == 0:

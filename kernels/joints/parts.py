@@ -38,9 +38,6 @@ MOST_PARTS = wp.constant(64)
 LARGEST_TURN = wp.constant(0.1)
 """Angle by which links turn in a part, at most [rad]."""
 
-LARGEST_SCALING = wp.constant(0.05)
-"""Largest relative change of the velocities where the length of the parts changes."""
-
 LARGEST_GROWTH = wp.constant(wp.float64(2.0e-3))
 """Largest energy that a part of a passive mechanism adds for a time, over the kinetic energy. A uniform turn by
 LARGEST_TURN adds less than half as much."""
@@ -238,7 +235,8 @@ def scale_at_change(balance: Balance, before: float, time: float):
     change = wp.float64(time * time - before * before) * balance.growth
     if balance.slope <= wp.float64(0.0):
         return 1.0
-    return 1.0 + wp.clamp(float(change / balance.slope), -LARGEST_SCALING, LARGEST_SCALING)
+    # By at most a twentieth.
+    return 1.0 + wp.clamp(float(change / balance.slope), -0.05, 0.05)
 
 
 @wp.func

@@ -17,10 +17,6 @@ from warp_rigid.kernels.schema import Motions
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-CROSS = wp.constant(wp.float64(1.0 - 2.0**-10))
-"""Factor on cross responses. Bodies that joints hold to each other have no relative motion along some axes, and no
-effective mass there without it."""
-
 
 @wp.func
 def free_velocity(b: int, impulse: vec6d, joints: Joints):
@@ -102,7 +98,9 @@ def store_response(m: int, pushed: int, b: int, team: Team, joints: Joints):
             if pushed == b:
                 set_entry(joints.response, b, i, k, velocity[i])
             else:
-                set_entry(joints.cross_response, m, i, k, CROSS * velocity[i])
+                # Bodies that joints hold to each other have no relative motion along some axes, and no effective mass
+                # there without the factor.
+                set_entry(joints.cross_response, m, i, k, wp.static(wp.float64(1.0 - 2.0**-10)) * velocity[i])
     sync_warp(team.lanes)
     if team.lane == 0 and pushed == b:
         joints.answered[b] = joints.factorizations[m]

@@ -31,14 +31,11 @@ from warp_rigid.kernels.tuning import CALM_CONVERGED, DIVERGED, MOST_CALM, NEGLI
 wp.set_module_options({"enable_backward": False})
 
 
-UNLIMITED = wp.constant(2**30)
-"""Limit of the sweeps over a constraint that something else ends."""
-
-
 @wp.func
 def limit_of(entry: OrderRecord, motions: Motions, graph: Graph):
     """Maximum number of further sweeps over a constraint."""
-    limit = int(UNLIMITED)
+    # A body that is not dynamic sets no limit.
+    limit = int(1 << 30)
     if inverse_mass_of(entry.body_a, motions) > 0.0:
         limit = graph.further_sweeps[entry.body_a]
     if inverse_mass_of(entry.body_b, motions) > 0.0:
@@ -88,7 +85,7 @@ def sweep_calm(
             entry = entry_at(k, order)
             limit = limit_of(entry, motions, graph)
             if far == 1 and limit == moving and turn >= moving and not is_pile(island_of(entry, motions, graph), graph):
-                limit = int(UNLIMITED)
+                limit = turn + 1
             if turn <= limit:
                 change = wp.max(change, solve_constraint(entry, motions, contacts))
             if turn == limit:

@@ -29,9 +29,6 @@ from warp_rigid.kernels.solve.simultaneous_impacts import bounce_together, find_
 
 wp.set_module_options({"enable_backward": False})
 
-GROUPS = wp.constant(2)
-"""Groups of simultaneous impacts per sweep over impacts: a sweep passes an impact on by two spheres of a row."""
-
 
 @wp.func
 def is_left_out(entry: OrderRecord, mode: int, graph: Graph):
@@ -118,7 +115,8 @@ def bounce_groups(
     begin = envs.first_body[team.env]
     end = envs.first_body[team.env + 1]
     collided = int(0)
-    left = int(GROUPS)
+    # A sweep passes an impact on by two spheres of a row.
+    left = int(2)
     while left > 0:
         found = bounce_together(turn, dt, first, begin, end, team, order, graph, motions, contacts)
         collided |= found

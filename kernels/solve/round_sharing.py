@@ -15,9 +15,6 @@ wp.set_module_options({"enable_backward": False})
 ROUNDS_OF_A_GROUP = wp.constant(6)
 """Rounds between two decisions on whether more follow."""
 
-LEAST_PAIRS = wp.constant(32)
-"""Minimum number of pairs of a chunk, except for the last one: claiming it takes as long as solving about one pair."""
-
 
 @wp.struct
 class Share:
@@ -32,7 +29,8 @@ class Share:
 @wp.func
 def chunk_size(sharing: Sharing, rounds: Rounds):
     """Number of pairs of a chunk."""
-    return wp.max((rounds.count[0] + sharing.count - 1) / sharing.count, LEAST_PAIRS)
+    # Claiming a chunk takes as long as solving about one pair.
+    return wp.max((rounds.count[0] + sharing.count - 1) / sharing.count, 32)
 
 
 @wp.func
