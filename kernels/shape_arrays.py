@@ -21,7 +21,7 @@ PartRecord = record(
     surface_end=Field(int, "", "", "one past the last, also if it has none"),
 )
 
-MOST_OF_LEAF = wp.constant(8)
+MOST_OF_LEAF = 8
 """Triangles of a leaf are fewer than this number, so that one integer holds the first one and their number."""
 
 TreeRecord = packed_record(

@@ -6,7 +6,7 @@ import pytest
 from tests.oracles import find_contacts, opened, random_pile
 from tests.test_levels import A_ON_B, B_ON_A, HandMadeGraph, random_pairs
 from warp_rigid.kernels.graph import coloring
-from warp_rigid.kernels.graph.coloring import SERIAL
+from warp_rigid.kernels.graph.coloring import Color
 from warp_rigid.scene.scene import Motion
 
 
@@ -44,7 +44,7 @@ def check_groups(groups, touching, body_a, body_b, dynamic):
     listed = [pair for _, pairs in groups for pair in pairs]
     assert sorted(listed) == sorted(touching)
     for color, pairs in groups:
-        if color == SERIAL:
+        if color == Color.SERIAL:
             assert pairs == sorted(pairs)
             continue
         busy = [body for pair in pairs for body in (body_a[pair], body_b[pair]) if dynamic[body]]
@@ -99,7 +99,7 @@ def test_colouring_is_not_wasteful(device):
     assert check_all(made, ordered(made)) <= 4
 
 
-@pytest.mark.parametrize("neighbours", [SERIAL - 1, SERIAL, SERIAL + 1, 75])
+@pytest.mark.parametrize("neighbours", [Color.SERIAL - 1, Color.SERIAL, Color.SERIAL + 1, 75])
 def test_more_pairs_at_a_body_than_colours(device, neighbours):
     """One body touches more others than there are colours: what finds none is solved in turn."""
     motions = [Motion.STATIC, *[Motion.DYNAMIC] * (neighbours + 1)]
@@ -109,8 +109,8 @@ def test_more_pairs_at_a_body_than_colours(device, neighbours):
     made.solve()
     groups = ordered(made)
     check_all(made, groups)
-    assert len(groups[0]) == min(neighbours, SERIAL + 1)
-    assert sum(len(pairs) for color, pairs in groups[0] if color == SERIAL) == max(0, neighbours - SERIAL)
+    assert len(groups[0]) == min(neighbours, Color.SERIAL + 1)
+    assert sum(len(pairs) for color, pairs in groups[0] if color == Color.SERIAL) == max(0, neighbours - Color.SERIAL)
     assert len(groups[2]) <= 3
 
 

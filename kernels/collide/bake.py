@@ -4,7 +4,6 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-CORNER_TOLERANCE = wp.constant(1.0e-6)  # barycentric; float32 leaves about 1e-7
 EVERYWHERE = wp.constant(1.0e18)  # its square is still a float32
 
 
@@ -37,18 +36,19 @@ def pseudonormal(tables: MeshTables, face: int, u: float, v: float) -> wp.vec3:
     (Baerentzen and Aanaes 2005).
     """
     w = 1.0 - u - v
-    top = 1.0 - CORNER_TOLERANCE
+    zero = 1.0e-6  # float32 leaves about 1e-7
+    top = 1.0 - zero
     if u > top:
         return tables.vertex_normal[tables.faces[face, 0]]
     if v > top:
         return tables.vertex_normal[tables.faces[face, 1]]
     if w > top:
         return tables.vertex_normal[tables.faces[face, 2]]
-    if w < CORNER_TOLERANCE:
+    if w < zero:
         return tables.side_normal[face, 0]
-    if u < CORNER_TOLERANCE:
+    if u < zero:
         return tables.side_normal[face, 1]
-    if v < CORNER_TOLERANCE:
+    if v < zero:
         return tables.side_normal[face, 2]
     return tables.face_normal[face]
 

@@ -36,14 +36,8 @@ TOP = LEVELS - 1
 FINER_LEVELS = 8
 """Levels below that of ordinary bodies."""
 
-LONGEST = wp.constant(256)
-"""A body with more candidates has no list."""
-
 ALL_LATER = wp.constant(-1)
 """Length of the list of a body whose candidates are all later bodies."""
-
-HASH_MULTIPLIER = wp.constant(wp.uint32(0x9E3779B9))
-"""2^32 divided by the golden ratio, odd (Fibonacci hashing)."""
 
 
 @wp.func
@@ -70,7 +64,7 @@ def bucket_of(env: int, cell: wp.vec4i, cells: Cells):
     mixed = mixed ^ (wp.uint32(cell[1]) * wp.uint32(19349663))
     mixed = mixed ^ (wp.uint32(cell[2]) * wp.uint32(83492791))
     mixed = mixed ^ (wp.uint32(cell[3]) * wp.uint32(50331653))
-    mixed = (mixed ^ (mixed >> wp.uint32(15))) * HASH_MULTIPLIER
+    mixed = (mixed ^ (mixed >> wp.uint32(15))) * wp.static(wp.uint32(0x9E3779B9))
     return first + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
 
 
@@ -251,7 +245,7 @@ def finish_lists(
         return
     count = cells.listed[i]
     # The candidates of all bodies together must be counted in 32 bits.
-    if count > wp.min(LONGEST, (1 << 30) / cells.listed.shape[0]):
+    if count > wp.min(256, (1 << 30) / cells.listed.shape[0]):
         cells.listed[i] = ALL_LATER
         return
     if count > room:

@@ -10,10 +10,6 @@ from warp_rigid.kernels.tuning import RIM_FLAT
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-CURVED = wp.constant(1.0e-3)
-"""A distance is curved, not kinked, if it lies above its tangent by more than this fraction of the interval, or if its
-slope differs from those at both ends by more than this fraction of their difference."""
-
 ASIDE = wp.constant(0.01)
 """Offset from a crossing at which the gradients on both sides are evaluated, and from a doubtful point at which the
 distance is, as a fraction of the half-length."""
@@ -161,11 +157,12 @@ def is_curved(search: Search, d: wp.vec4, now: float):
 
     Along an edge, it then lies above its tangent. Along an arc, its slope `now` is that of neither end.
     """
+    # By more than a thousandth, beyond rounding errors.
     if wp.dot(search.curvature, search.curvature) == 0.0:
         rise = d[3] - search.low[3] - search.slope_low * (search.t - search.left)
-        return rise > CURVED * (search.right - search.left)
+        return rise > 1.0e-3 * (search.right - search.left)
     aside = wp.min(wp.abs(now - search.slope_low), wp.abs(search.slope_high - now))
-    return aside > CURVED * wp.abs(search.slope_high - search.slope_low)
+    return aside > 1.0e-3 * wp.abs(search.slope_high - search.slope_low)
 
 
 @wp.func

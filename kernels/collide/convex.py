@@ -27,9 +27,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 FLAT_ENOUGH = wp.constant(1.0e-4)
 """A portal is a face of the difference if no point lies beyond it by more than this fraction of the smaller size."""
 
-DESCENTS = wp.constant(8)
-"""Maximum number of rays along which the depth is reduced."""
-
 HULL = wp.constant(-1)
 """Kind of a solid that is given by the vertices of a convex mesh."""
 
@@ -335,7 +332,7 @@ def find_axis(solids: Solids, shapes: Shapes, axis: wp.vec3, reach: float):
         k += 1
     ray = toward
     k = int(0)
-    while k <= DESCENTS and largest <= reach:
+    while k <= 8 and largest <= reach:
         n = leave(solids, shapes, start, ray, reach).normal
         gap = gap_along(solids, shapes, n)
         better = gap > largest + FLAT_ENOUGH * solids.size
@@ -343,7 +340,7 @@ def find_axis(solids: Solids, shapes: Shapes, axis: wp.vec3, reach: float):
             largest = gap
             best = n
         # Once it is known that the solids are apart, or that no ray leads further, the search is over.
-        k = wp.where(largest > 0.0 or (k > 0 and not better), DESCENTS + 1, k + 1)
+        k = wp.where(largest > 0.0 or (k > 0 and not better), 9, k + 1)
         start = wp.vec3(0.0, 0.0, 0.0)
         ray = best
     return best

@@ -25,7 +25,7 @@ from warp_rigid.kernels.collide.approach import (
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.convex_pairs import cut_by_axis, is_apart
 from warp_rigid.kernels.collide.culling import cluster_is_near, sample_is_near
-from warp_rigid.kernels.collide.near_samples import KEPT, NearSamples
+from warp_rigid.kernels.collide.near_samples import Group, NearSamples
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.team import (
     MOST_REGISTERS,
@@ -98,7 +98,7 @@ def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pa
     """
     start = history.contact_start[last]
     count = history.contact_start[last + 1] - start
-    begin = near.next.shape[0] + take_together(near.count, KEPT, count)
+    begin = near.next.shape[0] + take_together(near.count, Group.KEPT, count)
     for k in range(count):
         key = history.key[start + k]
         near.pair[begin + k] = pair
@@ -175,7 +175,7 @@ def store_batch(pair: int, listed: int, before: int, lane: int, lanes: int, pair
     sync_warp(lanes)
     begin = int(0)
     if lane == 0:
-        begin = take_places(near.count, 0, listed)
+        begin = take_places(near.count, Group.SEARCHED, listed)
     begin = broadcast_integer(begin, 0, lanes)
     if begin < 0 or begin + listed > near.next.shape[0]:
         return before

@@ -1,14 +1,13 @@
 """Declaration of the lists of samples, over all pairs: those that may touch in a step, and those that are traced."""
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.declare import Field, layout
 
 NARROWPHASE = wp.get_module("warp_rigid.kernels.collide.narrowphase")
 """Module of the kernels of the narrow phase. They are compiled together, as they share functions of distances."""
-
-KEPT = wp.constant(1)
-"""Index of the samples of kept contacts in NearSamples.begin and count."""
 
 NearSamples = layout(
     "NearSamples",
@@ -58,3 +57,11 @@ Suspects = layout(
         float, "pairs", "s", "of a traced pair: earliest time at which a sample is too deep, or the time step"
     ),
 )
+
+
+class Group(IntEnum):
+    """Groups of near samples, as indices of NearSamples.begin and count."""
+
+    SEARCHED = 0
+    KEPT = 1
+    """Those of kept contacts."""

@@ -30,7 +30,7 @@ from warp_rigid.kernels.collide.convex_pairs import check_by_axis
 from warp_rigid.kernels.collide.culling import out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
-from warp_rigid.kernels.collide.parting import CROSSED, deepest_hidden, way_out
+from warp_rigid.kernels.collide.parting import Closing, deepest_hidden, way_out
 from warp_rigid.kernels.collide.samples import MUCH_DEEPER
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.team import MOST_REGISTERS, ballot, broadcast_integer, lowest_bit, sync_warp
@@ -61,7 +61,7 @@ def touch_at(k: int, end: int, b: int, state: State, near: NearSamples):
         touch.normal = wp.quat_rotate_inv(state.orientation[b], near.normal[k])
         touch.left = near.left[k]
         touch.closing = near.closing[k]
-        if touch.closing != CROSSED:
+        if touch.closing != Closing.CROSSED:
             touch.gap = near.gap[k]
     return touch
 
@@ -171,7 +171,7 @@ def touching_place(pair: int, key: int, size: float, lane: int, lanes: int, near
     while batch >= 0:
         end = near.end[batch]
         for k in range(batch + lane, end, lanes):
-            touches = near.gap[k] < CONTACT_DISTANCE * size and near.closing[k] != CROSSED
+            touches = near.gap[k] < CONTACT_DISTANCE * size and near.closing[k] != Closing.CROSSED
             if touches and near.key[k] == key:
                 found = k
         batch = near.next[batch]
@@ -223,7 +223,7 @@ def offer_near_samples(
             closing |= touch.closing
             offer_samples(pair, start + lane, touch, ranking, size, lane, lanes, pairs)
         batch = near.next[batch]
-    crossed = wp.where(ballot(closing & CROSSED, lanes) == wp.uint32(0), 0, CROSSED)
+    crossed = wp.where(ballot(closing & Closing.CROSSED, lanes) == wp.uint32(0), 0, Closing.CROSSED)
     return crossed + wp.where(ballot(closing & 1, lanes) == wp.uint32(0), 0, 1)
 
 
@@ -313,7 +313,7 @@ def choose(
     if along == 1:
         return add_contact(pair, BY_AXIS, kept, lane, pairs)
     if not are_solid(bodies.shape[a], bodies.shape[b], shapes):
-        kept = part(pair, kept, offered & CROSSED, lane, lanes, shapes, bodies, state, near, pairs)
+        kept = part(pair, kept, offered & Closing.CROSSED, lane, lanes, shapes, bodies, state, near, pairs)
     if not solid and wp.length_sq(pairs.axis[pair]) == 0.0:
         kept = keep_ball(pair, kept, size, lane, shapes, bodies, state, motions, pairs)
     return kept

@@ -7,6 +7,8 @@ bound the bodies: that of the least motion after which these do not overlap. All
 step by step, until none is left.
 """
 
+from enum import IntFlag
+
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import approach_of
@@ -19,8 +21,14 @@ from warp_rigid.kernels.tuning import HIDDEN_DEPTH
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-CROSSED = wp.constant(2)
-"""Value of NearSamples.closing of a sample that is no contact, but inside the other body."""
+
+class Closing(IntFlag):
+    """Values of `NearSamples.closing`."""
+
+    CLOSES = 1
+    """The gap may close in the step."""
+    CROSSED = 2
+    """The sample is no contact, but inside the other body."""
 
 
 @wp.func
@@ -53,7 +61,7 @@ def deepest_hidden(pair: int, lane: int, lanes: int, near: NearSamples):
     batch = near.first[pair]
     while batch >= 0:
         for k in range(batch + lane, near.end[batch], lanes):
-            if near.closing[k] == CROSSED and near.gap[k] < deepest:
+            if near.closing[k] == Closing.CROSSED and near.gap[k] < deepest:
                 deepest = near.gap[k]
                 place = k
         batch = near.next[batch]

@@ -11,8 +11,8 @@ from warp_rigid.kernels.collide.contact_search import Search, gradient
 from warp_rigid.kernels.collide.course import Course, closing_speed, curvature_of, place_at, placed_course
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.edge_search import OPPOSED
-from warp_rigid.kernels.collide.near_samples import KEPT, NARROWPHASE, NearSamples
-from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
+from warp_rigid.kernels.collide.near_samples import NARROWPHASE, Group, NearSamples
+from warp_rigid.kernels.collide.parting import Closing, hidden_depth, is_parting
 from warp_rigid.kernels.collide.samples import place_sample
 from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
@@ -279,7 +279,7 @@ def touching(
     if placed.crossing == 1:
         if not kept and placed.distance < -hidden_depth(approach.own_shape, approach.shape, shapes):
             result = touch
-            result.closing = CROSSED
+            result.closing = Closing.CROSSED
         return result
     if kept:
         return touch
@@ -331,14 +331,14 @@ def touch_near_samples(
     of pairs that were `woken`, has samples before its own.
     """
     own = claim(wp.tid(), sharing)
-    count = usable_count(own, which, near.count[0], near.next.shape[0], wanted_row, wanted)
+    count = usable_count(own, which, near.count[Group.SEARCHED], near.next.shape[0], wanted_row, wanted)
     first = int(0)
     first_kept = int(0)
     if woken == 1:
-        first = near.begin[0]
-        first_kept = near.begin[KEPT]
+        first = near.begin[Group.SEARCHED]
+        first_kept = near.begin[Group.KEPT]
     searched = wp.max(count - first, 0)
-    rows = rows_of(own, searched + near.count[KEPT] - first_kept, sharing)
+    rows = rows_of(own, searched + near.count[Group.KEPT] - first_kept, sharing)
     for row in range(rows.first, rows.end, rows.stride):
         k = first + row
         if row >= searched:

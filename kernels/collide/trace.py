@@ -31,9 +31,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 TRACE_ROUNDS = wp.constant(64)
 """Maximum rounds of a trace; a trace that needs more counts as touching at the point reached."""
 
-EDGE_ROUNDS = wp.constant(4)
-"""Rounds of the search for the deepest point of an edge; a V-shaped distance takes one."""
-
 CLEAR = wp.constant(-2)
 """Index in place of a sample that need not be traced."""
 
@@ -154,7 +151,7 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
     crossed = int(1)
     t = float(left)
     rounds = int(0)
-    while rounds < 2 + EDGE_ROUNDS:
+    while rounds < 6:
         d = signed_distance(shapes, shape, middle + t * slide, -FAR)
         if d[3] < deepest[3]:
             place = t
@@ -172,7 +169,7 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
             fall = slope(low, slide)
             rise = slope(high, slide)
             if fall >= 0.0 or rise <= 0.0:
-                rounds = 2 + EDGE_ROUNDS
+                rounds = 6
                 crossed = 0
             t = (low[3] - high[3] + rise * right - fall * left) / wp.max(rise - fall, 1.0e-12)
             t = wp.clamp(t, left, right)

@@ -17,12 +17,12 @@ write_solver_body = group_writer(SolverBodyRecord)
 read_entry = record_reader(OrderRecord)
 """Reads an entry of the solving order: (k, entries)."""
 
-VELOCITY = wp.constant(group_of(SolverBodyRecord, "linear"))
-INERTIA = wp.constant(group_of(SolverBodyRecord, "inverse_inertia_xx"))
-PUSH = wp.constant(group_of(SolverBodyRecord, "push_linear"))
-START = wp.constant(group_of(SolverBodyRecord, "start_linear"))
-UNDER_LOAD = wp.constant(group_of(SolverBodyRecord, "loaded_linear"))
-BEFORE_CONTACTS = wp.constant(group_of(SolverBodyRecord, "before_contacts_linear"))
+VELOCITY = group_of(SolverBodyRecord, "linear")
+INERTIA = group_of(SolverBodyRecord, "inverse_inertia_xx")
+PUSH = group_of(SolverBodyRecord, "push_linear")
+START = group_of(SolverBodyRecord, "start_linear")
+UNDER_LOAD = group_of(SolverBodyRecord, "loaded_linear")
+BEFORE_CONTACTS = group_of(SolverBodyRecord, "before_contacts_linear")
 """First group of each velocity: the linear velocity, followed by the angular velocity."""
 
 

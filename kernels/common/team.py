@@ -31,7 +31,7 @@ def block_of(lanes: int) -> int:
     return SMALL_BLOCK if lanes <= 32 else BLOCK
 
 
-MECHANISM_LANES = wp.constant(8)
+MECHANISM_LANES = 8
 """Largest number of lanes of a team that solves a mechanism: a block of it has six rows."""
 
 
@@ -76,11 +76,11 @@ def team_of(thread: int, lanes: int):
 
 
 @wp.func
-def part_of_team(team: Team, most: int):
-    """The part of a team, of at most the given number of lanes, to which a lane belongs."""
+def part_of_team(team: Team):
+    """The part of a team to which a lane belongs, which solves a mechanism."""
     part = Team()
     part.env = team.env
-    part.lanes = wp.min(team.lanes, most)
+    part.lanes = wp.min(team.lanes, MECHANISM_LANES)
     part.lane = team.lane % part.lanes
     return part
 

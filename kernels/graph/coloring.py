@@ -10,6 +10,8 @@ rows, the priority is a hashed index, so that chains of neighbouring constraints
 Constraints at a body with all colours in use, such as a tray with many bodies on it, are solved serially.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.common.team import Team, any_of_team, lowest_bit, sync_team, team_of
@@ -22,18 +24,15 @@ wp.set_module_options({"enable_backward": False})
 ALL_TAKEN = wp.constant(wp.uint32((1 << (COLORS - 1)) - 1))
 """Mask of a body at which all colours except the last are in use."""
 
-SERIAL = COLORS - 1
-"""The colour of constraints that are solved serially."""
-
-UNCOLORED = wp.constant(-1)
-
-GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
-"""2^32 divided by the golden ratio, odd: multiplication by it is a bijective hash."""
-
-ROWS_FIRST = wp.constant(wp.int64(2**32))
-"""Factor on the number of rows in a priority: larger than all differences of hashed indices."""
-
 NO_BID = wp.constant(wp.int64(-(2**62)))
+
+
+class Color(IntEnum):
+    """Colours that are none of those whose constraints are solved side by side."""
+
+    NONE = -1
+    SERIAL = COLORS - 1
+    """Its constraints are solved serially."""
 
 
 @wp.func
@@ -42,8 +41,10 @@ def priority(k: int, begin: int, constraints: Constraints):
 
     Distinct constraints have distinct priorities.
     """
-    hashed = wp.int64(int(wp.uint32(k - begin) * GOLDEN))
-    return wp.int64(constraints.row_count[k]) * ROWS_FIRST + hashed
+    # Multiplication by 2^32 over the golden ratio, odd, is a bijective hash.
+    hashed = wp.int64(int(wp.uint32(k - begin) * wp.static(wp.uint32(0x9E3779B9))))
+    # The number of rows counts more than all differences of hashed indices.
+    return wp.int64(constraints.row_count[k]) * wp.int64(0x100000000) + hashed
 
 
 @wp.func
@@ -54,7 +55,7 @@ def place_bid(k: int, begin: int, bodies: Bodies, constraints: Constraints, grap
     dynamic_a = bodies.motion[a] == Motion.DYNAMIC
     dynamic_b = bodies.motion[b] == Motion.DYNAMIC
     if (dynamic_a and graph.colors[a] == ALL_TAKEN) or (dynamic_b and graph.colors[b] == ALL_TAKEN):
-        graph.color[k] = SERIAL
+        graph.color[k] = Color.SERIAL
         return
     if dynamic_a:
         wp.atomic_max(graph.bid, a, priority(k, begin, constraints))
@@ -79,7 +80,7 @@ def take_color(k: int, begin: int, bodies: Bodies, constraints: Constraints, gra
         taken = taken | graph.colors[b]
     color = lowest_bit(~taken)
     graph.color[k] = color
-    if color == SERIAL:
+    if color == Color.SERIAL:
         return
     bit = wp.uint32(1) << wp.uint32(color)
     if dynamic_a:
@@ -105,23 +106,23 @@ def color_constraints(team: Team, envs: Environments, bodies: Bodies, constraint
         graph.colors[b] = wp.uint32(0)
         graph.bid[b] = NO_BID
     for k in range(begin + team.lane, end, team.lanes):
-        graph.color[k] = UNCOLORED
+        graph.color[k] = Color.NONE
     left = int(1)
     while left == 1:
         sync_team(team)
         for k in range(begin + team.lane, end, team.lanes):
-            if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
+            if is_swept(k, constraints, graph) and graph.color[k] == Color.NONE:
                 place_bid(k, begin, bodies, constraints, graph)
         sync_team(team)
         for k in range(begin + team.lane, end, team.lanes):
-            if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
+            if is_swept(k, constraints, graph) and graph.color[k] == Color.NONE:
                 take_color(k, begin, bodies, constraints, graph)
         sync_team(team)
         for b in range(first + team.lane, last, team.lanes):
             graph.bid[b] = NO_BID
         left = int(0)
         for k in range(begin + team.lane, end, team.lanes):
-            if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
+            if is_swept(k, constraints, graph) and graph.color[k] == Color.NONE:
                 left = 1
         left = any_of_team(left, team)
 
@@ -178,7 +179,7 @@ def group_constraints(team: Team, envs: Environments, constraints: Constraints, 
     for k in range(begin + team.lane, end, team.lanes):
         if is_swept(k, constraints, graph):
             wp.atomic_add(graph.tally, env, graph.color[k], 1)
-            in_turn |= wp.where(graph.color[k] == SERIAL, 1, 0)
+            in_turn |= wp.where(graph.color[k] == Color.SERIAL, 1, 0)
             upper = wp.max(graph.level[constraints.body_a[k]], graph.level[constraints.body_b[k]])
             wp.atomic_max(graph.level_count, env, upper)
     in_turn = any_of_team(in_turn, team)
@@ -186,11 +187,11 @@ def group_constraints(team: Team, envs: Environments, constraints: Constraints, 
         add_colors(env, begin, graph, order)
     sync_team(team)
     for k in range(begin + team.lane, end, team.lanes):
-        if is_swept(k, constraints, graph) and graph.color[k] != SERIAL:
+        if is_swept(k, constraints, graph) and graph.color[k] != Color.SERIAL:
             write_in_order(k, env, constraints, graph, order)
     if in_turn == 1 and team.lane == 0:
         for k in range(begin, end):
-            if is_swept(k, constraints, graph) and graph.color[k] == SERIAL:
+            if is_swept(k, constraints, graph) and graph.color[k] == Color.SERIAL:
                 write_in_order(k, env, constraints, graph, order)
 
 

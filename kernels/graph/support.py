@@ -16,7 +16,7 @@ nothing else, so they are kept. Levels and depths are only needed for shock prop
 are solved in rounds (islands.py) have no edges in the graph of supports.
 """
 
-from enum import IntFlag
+from enum import IntEnum, IntFlag
 
 import warp as wp
 
@@ -30,8 +30,12 @@ from warp_rigid.kernels.tuning import SLANT
 
 wp.set_module_options({"enable_backward": False})
 
-UNKNOWN = wp.constant(-1)
-UNSUPPORTED = wp.constant(1 << 30)
+
+class Level(IntEnum):
+    """Levels and depths of bodies that have none."""
+
+    UNKNOWN = -1
+    UNSUPPORTED = 1 << 30
 
 
 class Support(IntFlag):
@@ -170,17 +174,17 @@ def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, co
     sync_team(team)
     for edge in range(first_edge, last_edge, team.lanes):
         upper = upper_of(edge, constraints, graph)
-        if upper >= 0 and graph.level[upper] == UNKNOWN:
+        if upper >= 0 and graph.level[upper] == Level.UNKNOWN:
             lower = lower_of(edge, constraints)
             cycle = graph.cycle[upper]
-            if graph.level[lower] != UNKNOWN:
+            if graph.level[lower] != Level.UNKNOWN:
                 wp.atomic_max(graph.highest, cycle, graph.level[lower])
             elif graph.cycle[lower] != cycle:
                 graph.waiting[cycle] = 1
     sync_team(team)
     got = int(0)
     for b in range(first, last, team.lanes):
-        if graph.level[b] == UNKNOWN and graph.waiting[graph.cycle[b]] == 0:
+        if graph.level[b] == Level.UNKNOWN and graph.waiting[graph.cycle[b]] == 0:
             graph.level[b] = graph.highest[graph.cycle[b]] + 1
             got = 1
     return any_of_team(got, team)
@@ -195,7 +199,7 @@ def passes_of(team: Team):
 @wp.func
 def is_open(b: int, graph: Graph):
     """Whether a body has no level yet and is in no known cycle."""
-    return graph.level[b] == UNKNOWN and graph.within[b] == 0
+    return graph.level[b] == Level.UNKNOWN and graph.within[b] == 0
 
 
 @wp.func
@@ -270,7 +274,7 @@ def find_levels(team: Team, envs: Environments, bodies: Bodies, constraints: Con
     first_edge = 2 * constraints.start[env] + team.lane
     last_edge = 2 * constraints.start[env + 1]
     for b in range(first, last, team.lanes):
-        graph.level[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, UNKNOWN, 0)
+        graph.level[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, Level.UNKNOWN, 0)
         graph.cycle[b] = b
         graph.within[b] = 0
     left = int(1)
@@ -279,7 +283,7 @@ def find_levels(team: Team, envs: Environments, bodies: Bodies, constraints: Con
             find_cycles(first_edge, last_edge, first, last, team, constraints, graph)
         left = int(0)
         for b in range(first, last, team.lanes):
-            if graph.level[b] == UNKNOWN:
+            if graph.level[b] == Level.UNKNOWN:
                 left = 1
         left = any_of_team(left, team)
 
@@ -294,7 +298,7 @@ def find_depths(team: Team, envs: Environments, bodies: Bodies, constraints: Con
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
     for b in range(first + team.lane, last, team.lanes):
-        graph.depth[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, UNSUPPORTED, 0)
+        graph.depth[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, Level.UNSUPPORTED, 0)
     if team.lane == 0:
         graph.max_depth[env] = 0
     changed = int(1)
@@ -310,7 +314,7 @@ def find_depths(team: Team, envs: Environments, bodies: Bodies, constraints: Con
                     changed = 1
         changed = any_of_team(changed, team)
     for b in range(first + team.lane, last, team.lanes):
-        if graph.depth[b] < UNSUPPORTED:
+        if graph.depth[b] < Level.UNSUPPORTED:
             wp.atomic_max(graph.max_depth, env, graph.depth[b])
 
 

@@ -37,19 +37,13 @@ from warp_rigid.kernels.schema import Motions
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-REDUNDANT = wp.constant(wp.float64(1.0e-8))
-"""Pivot, as a fraction of its diagonal entry, below which a row counts as redundant."""
-
-ZERO = wp.constant(wp.float64(0.0))
-ONE = wp.constant(wp.float64(1.0))
-
 
 @wp.func
 def active_rows(j: int, dt: float, motions: Motions, joints: Joints):
     """Rows of a joint that take part in the factorization: the locked ones, and others unless they are free."""
     rows = present_rows(j, motions, joints)
     if has_coordinate(j, motions, joints):
-        if is_held(joints.mode[j]) or drive_slope(j, wp.float64(dt), joints) > ZERO:
+        if is_held(joints.mode[j]) or drive_slope(j, wp.float64(dt), joints) > wp.float64(0.0):
             rows = rows | (1 << free_row(joints.coordinate[j]))
         for k in range(4, 6):
             if is_damped(j, k, joints) and joints.mode[j][0] != Mode.IDLE:
@@ -62,7 +56,7 @@ def masked(values: vec6d, active: int):
     """The components of active rows; zero for the others."""
     for k in range(6):
         if not is_locked(active, k):
-            values[k] = ZERO
+            values[k] = wp.float64(0.0)
     return values
 
 
@@ -113,17 +107,17 @@ def compliance_of(j: int, k: int, dt: float, joints: Joints):
     """Velocity along an active row per impulse of a drive or of damping; 0 for a row that holds."""
     step = wp.float64(dt)
     if k == free_row(joints.coordinate[j]) and not is_held(joints.mode[j]):
-        return ONE / drive_slope(j, step, joints)
+        return wp.float64(1.0) / drive_slope(j, step, joints)
     if is_damped(j, k, joints):
-        return ONE / damping_slope(j, step, joints)
-    return ZERO
+        return wp.float64(1.0) / damping_slope(j, step, joints)
+    return wp.float64(0.0)
 
 
 @wp.func
 def diagonal_entry(j: int, i: int, row: vec6d, dt: float, joints: Joints):
     """Entry on the diagonal of A, with the compliance of the row; 1 for one that is not active."""
     if not is_locked(joints.active[j], i):
-        return ONE
+        return wp.float64(1.0)
     return row[i] + compliance_of(j, i, dt, joints)
 
 
@@ -138,7 +132,7 @@ def assemble_row(place: int, i: int, dt: float, joints: Joints):
     entry = diagonal_entry(j, i, row, dt, joints)
     set_row(joints.pivot, j, i, row)
     set_entry(joints.pivot, j, i, i, entry)
-    set_component(joints.solution, j, 0, i, wp.where(entry > ZERO, ONE / entry, ZERO))
+    set_component(joints.solution, j, 0, i, wp.where(entry > wp.float64(0.0), wp.float64(1.0) / entry, wp.float64(0.0)))
     for e in range(joints.column[place], joints.column[place + 1]):
         k = joints.row[e]
         set_row(joints.lower, e, i, coupling_row(k, i, j, joints.shared[e], joints.shared_too[e], joints))
@@ -151,7 +145,8 @@ def largest_pivot(j: int, left: int, joints: Joints):
     `solution` holds the inverses of the diagonal entries.
     """
     best = int(-1)
-    most = REDUNDANT
+    # A row is redundant below this fraction.
+    most = wp.float64(1.0e-8)
     for k in range(6):
         if is_locked(left, k):
             share = entry_of(joints.pivot, j, k, k) * component_of(joints.solution, j, 0, k)
@@ -164,7 +159,7 @@ def largest_pivot(j: int, left: int, joints: Joints):
 @wp.func
 def sweep_out(k: int, j: int, team: Team, joints: Joints):
     """Apply the sweep operator for a row to a symmetric block: swept rows hold the negative of their inverse."""
-    inverse = ONE / entry_of(joints.pivot, j, k, k)
+    inverse = wp.float64(1.0) / entry_of(joints.pivot, j, k, k)
     row = row_of(joints.pivot, j, k)
     sync_warp(team.lanes)
     for i in range(team.lane, 6, team.lanes):
@@ -193,7 +188,7 @@ def invert_without_redundant(j: int, team: Team, joints: Joints):
     for i in range(team.lane, 6, team.lanes):
         for k in range(6):
             is_taken = is_locked(taken, i) and is_locked(taken, k)
-            set_entry(joints.pivot, j, i, k, wp.where(is_taken, -entry_of(joints.pivot, j, i, k), ZERO))
+            set_entry(joints.pivot, j, i, k, wp.where(is_taken, -entry_of(joints.pivot, j, i, k), wp.float64(0.0)))
     sync_warp(team.lanes)
 
 

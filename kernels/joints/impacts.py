@@ -11,7 +11,6 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import VELOCITY, BodyPair, at_rest, first_three, load_bodies, store_bodies
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.common.team import (
-    MECHANISM_LANES,
     Team,
     any_of_team,
     any_of_warp,
@@ -57,8 +56,7 @@ from warp_rigid.kernels.solve.pair_impact import (
     set_normal_impulses,
     set_targets,
 )
-from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, note_change
-from warp_rigid.kernels.solve.shock import SKIPPED
+from warp_rigid.kernels.solve.schedule import Visited, end_of_entries, entry_at, first_entry, note_change
 from warp_rigid.kernels.tuning import CONVERGED, GROUP_SWEEPS, IMPACT_ITERATIONS
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -79,7 +77,7 @@ def leave_out_joined(team: Team, order: Order, contacts: Contacts, joints: Joint
     sync_team(team)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         if can_bounce(entry_at(k, order), contacts, joints):
-            order.entries[k].visited = SKIPPED
+            order.entries[k].visited = Visited.SKIPPED
             found = 1
     return any_of_team(found, team)
 
@@ -217,7 +215,7 @@ def bounce_pairs(
     joints: Joints,
 ):
     """Solve the impacts of all pairs of mechanisms that have restitution, one after another. Returns 1 if any."""
-    part = part_of_team(team, MECHANISM_LANES)
+    part = part_of_team(team)
     collided = int(0)
     for k in range(constraints.start[team.env], constraints.start[team.env + 1]):
         if is_active(k, constraints):

@@ -6,7 +6,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.ccd import NEVER, motion_after, time_of
 from warp_rigid.kernels.common.solver_body import BEFORE_CONTACTS, PUSH, START, VELOCITY
-from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, part_of_team, sync_team, team_of
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
@@ -69,9 +69,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 AFTER_PASSES = wp.constant(2)
 """Value of `after_shock` right after the passes of shock propagation, which leave the joints out."""
-
-MOST_OF_LARGEST = wp.constant(wp.float64(65536.0))
-"""Largest contribution of a joint to the sums of the line search, in multiples of that of a contact."""
 
 
 class Phase(IntEnum):
@@ -345,7 +342,7 @@ def add_energy_of_joints(
         if island >= 0:
             terms = energy_terms(j, START, dt, motions, joints) * wp.float64(1.0 / graph.largest[island])
             for k in range(2):
-                terms[k] = FIXED_POINT * wp.clamp(terms[k], -MOST_OF_LARGEST, MOST_OF_LARGEST)
+                terms[k] = FIXED_POINT * wp.clamp(terms[k], -wp.float64(65536.0), wp.float64(65536.0))
             add_up(island, wp.int64(terms[0]), wp.int64(terms[1]), graph)
 
 
@@ -375,7 +372,7 @@ def push_joined(
     env = team.env
     if graph.overlapping[env] == 0 or any_touched(team, joints) == 0:
         return
-    part = part_of_team(team, MECHANISM_LANES)
+    part = part_of_team(team)
     first = joints.first_mechanism[env] + team.lane / part.lanes
     for m in range(first, joints.first_mechanism[env + 1], team.lanes / part.lanes):
         if needs_solution(m, joints):

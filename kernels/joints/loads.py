@@ -25,7 +25,6 @@ from warp_rigid.kernels.common.solver_body import (
 )
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.common.team import (
-    MECHANISM_LANES,
     Team,
     any_of_team,
     part_of_team,
@@ -509,7 +508,7 @@ def visit_pair(start: int, entry: OrderRecord, team: Team, motions: Motions, con
 def solve_joints(team: Team, dt: float, motions: Motions, joints: Joints):
     """Solve all mechanisms of an environment. Returns a lane's largest residual [m/s]."""
     change = float(0.0)
-    part = part_of_team(team, MECHANISM_LANES)
+    part = part_of_team(team)
     parts = team.lanes / part.lanes
     first = joints.first_mechanism[team.env] + team.lane / part.lanes
     for m in range(first, joints.first_mechanism[team.env + 1], parts):

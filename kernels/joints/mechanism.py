@@ -55,12 +55,6 @@ poses, each solution is a projection of the pose: they converge as Newton's meth
 ratio of a tenth, gyroscopes lose their spin.
 """
 
-KEPT_ERROR = wp.constant(wp.float64(0.5))
-"""Fraction of an error at the start of a step that may remain after it."""
-
-FASTEST = wp.constant(wp.float64(1.0))
-"""Largest speed at which errors are corrected [m/s, rad/s]."""
-
 JOINT_SOLVED = wp.constant(1.0e-5)
 """Residual of a joint below which it counts as solved [m/s, rad/s]: less than 0.1 micrometres per step."""
 
@@ -114,10 +108,11 @@ def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joi
         joints.drift[j] = wp.float64(0.0)
         joints.mode[j] = mode_before_forces(j, errors[row], speed, joints)
         errors[row] = excess_of(j, errors[row], joints)
-    most = FASTEST * wp.float64(dt)
+    # Half of an error is corrected, at 1 m/s or 1 rad/s at most.
+    most = wp.float64(dt)
     allowed = vec6d()
     for k in range(6):
-        allowed[k] = errors[k] - wp.clamp((wp.float64(1.0) - KEPT_ERROR) * errors[k], -most, most)
+        allowed[k] = errors[k] - wp.clamp(wp.float64(0.5) * errors[k], -most, most)
     joints.allowed[j] = allowed
     joints.total[j] = vec6d()
 

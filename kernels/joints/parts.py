@@ -35,13 +35,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MOST_PARTS = wp.constant(64)
 """Maximum number of parts. Vibrations that are faster are slowed, and faster turns lose energy."""
 
-LARGEST_TURN = wp.constant(0.1)
-"""Angle by which links turn in a part, at most [rad]."""
-
-LARGEST_GROWTH = wp.constant(wp.float64(2.0e-3))
-"""Largest energy that a part of a passive mechanism adds for a time, over the kinetic energy. A uniform turn by
-LARGEST_TURN adds less than half as much."""
-
 TINY = wp.constant(1.0e-6)
 """Length below which an arm counts as none [m]."""
 
@@ -100,7 +93,8 @@ def parts_needed(m: int, dt: float, team: Team, bodies: Bodies, motions: Motions
         if motions.role[joints.member[i]] == Role.FREE:
             sums = vibrations_of(i, dt, 1, bodies, motions, joints)
             ratio = wp.max(ratio, float(wp.max(sums[2], sums[3])))
-    needed = max_of_lanes(wp.max(wp.sqrt(2.0 * ratio), turn / LARGEST_TURN), team.lanes)
+    # Links turn by at most 0.1 rad in a part.
+    needed = max_of_lanes(wp.max(wp.sqrt(2.0 * ratio), turn / 0.1), team.lanes)
     parts = wp.clamp(int(wp.ceil(needed)), 1, MOST_PARTS)
     if 2 * parts > joints.parts[m]:
         parts = wp.max(parts, joints.parts[m])
@@ -243,7 +237,8 @@ def scale_at_change(balance: Balance, before: float, time: float):
 def is_too_long(balance: Balance, dt: float, time: float):
     """Whether shorter parts are needed to keep the energy."""
     growth = wp.abs(balance.growth) * wp.float64(time * time)
-    return growth > LARGEST_GROWTH * balance.kinetic + balance.fall * wp.float64(dt * dt)
+    # A uniform turn by 0.1 rad adds less than half as much.
+    return growth > wp.float64(2.0e-3) * balance.kinetic + balance.fall * wp.float64(dt * dt)
 
 
 @wp.func

@@ -10,8 +10,6 @@ from warp_rigid.kernels.update.integrate import mat33d, precise, rotate_by, turn
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-TURN = wp.constant(wp.float64(6.283185307179586))
-
 
 @wp.struct
 class Ends:
@@ -92,7 +90,8 @@ def axis_of(turn: wp.quatd):
 @wp.func
 def angle_near(angle: wp.float64, near: float):
     """The angle, changed by full turns to be closest to another one [rad]."""
-    return angle + TURN * wp.round((wp.float64(near) - angle) / TURN)
+    full = wp.float64(6.283185307179586)
+    return angle + full * wp.round((wp.float64(near) - angle) / full)
 
 
 @wp.func

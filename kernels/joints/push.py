@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
 from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocities, with_velocities
-from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, part_of_team, sync_team
+from warp_rigid.kernels.common.team import Team, part_of_team, sync_team
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import (
@@ -126,7 +126,7 @@ def push_visited(entry: OrderRecord, team: Team, motions: Motions, contacts: Con
 def push_touching(team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints, visits: VisitOrder):
     """Separate all pairs of mechanisms, turn by turn, as `solve_touching`. Returns a lane's largest change [m/s]."""
     change = float(0.0)
-    part = part_of_team(team, MECHANISM_LANES)
+    part = part_of_team(team)
     for turn in range(visits.count[team.env]):
         first = begin_of_turn(team.env, turn, order, visits) + team.lane / part.lanes
         for place in range(first, end_of_turn(team.env, turn, order, visits), team.lanes / part.lanes):

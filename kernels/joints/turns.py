@@ -8,31 +8,20 @@ The priority of a pair is its place among the pairs, since sweeps that visit the
 order converge more slowly, and a ragdoll that folds up gains more energy.
 """
 
-from enum import IntEnum
-
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import inverse_mass_of
-from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, lowest_bit, part_of_team, sync_team
+from warp_rigid.kernels.common.team import Team, any_of_team, lowest_bit, part_of_team, sync_team
 from warp_rigid.kernels.graph.coloring import NO_BID
 from warp_rigid.kernels.joints.arrays import TURN_WORDS, Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import is_visited, solved_mechanism, visit_pair
 from warp_rigid.kernels.schema import Contacts, Graph, Motions, Order
-from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
+from warp_rigid.kernels.solve.schedule import Visited, end_of_entries, entry_at, first_entry
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 MARKED_TURNS = 32 * TURN_WORDS
 """Number of turns that are marked at each body. A pair that finds none of them free comes after the last turns."""
-
-ALL_TURNS_TAKEN = wp.constant(wp.uint32(0xFFFFFFFF))
-
-
-class Visit(IntEnum):
-    """Values of `visited` before a pair has a place in the order of visits."""
-
-    WAITING = -1
-    LEFT_OUT = 0
 
 
 @wp.func
@@ -69,11 +58,11 @@ def taken_turns(b: int, word: int, visits: VisitOrder):
 def first_free_turn(a: int, b: int, graph: Graph, visits: VisitOrder):
     """The first turn, from 0, in which no pair has touched two bodies. `changed` is the last turn of each."""
     word = int(0)
-    taken = ALL_TURNS_TAKEN
-    while word < TURN_WORDS and taken == ALL_TURNS_TAKEN:
+    taken = ~wp.uint32(0)
+    while word < TURN_WORDS and taken == ~wp.uint32(0):
         taken = taken_turns(a, word, visits) | taken_turns(b, word, visits)
         word += 1
-    if taken != ALL_TURNS_TAKEN:
+    if taken != ~wp.uint32(0):
         return 32 * (word - 1) + lowest_bit(~taken)
     last = MARKED_TURNS - 1
     if a >= 0:
@@ -101,7 +90,7 @@ def start_turns(first: int, last: int, team: Team, order: Order, graph: Graph, j
         for word in range(TURN_WORDS):
             visits.taken[b, word] = wp.uint32(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
-        order.entries[k].visited = wp.where(is_visited(entry_at(k, order), joints), Visit.WAITING, Visit.LEFT_OUT)
+        order.entries[k].visited = wp.where(is_visited(entry_at(k, order), joints), Visited.WAITING, Visited.NONE)
     sync_team(team)
 
 
@@ -120,7 +109,7 @@ def bid_or_take(
     waits = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        if entry.visited == Visit.WAITING:
+        if entry.visited == Visited.WAITING:
             a = occupied(entry.body_a, motions, joints)
             b = occupied(entry.body_b, motions, joints)
             value = wp.int64(first_row - entry.begin)
@@ -231,7 +220,7 @@ def solve_touching(
     `start`: 1 to apply the initial impulses.
     """
     change = float(0.0)
-    part = part_of_team(team, MECHANISM_LANES)
+    part = part_of_team(team)
     for turn in range(visits.count[team.env]):
         first = begin_of_turn(team.env, turn, order, visits) + team.lane / part.lanes
         for place in range(first, end_of_turn(team.env, turn, order, visits), team.lanes / part.lanes):

@@ -23,7 +23,7 @@ from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import IMPULSE, impulse_of, read_contact
 from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
 from warp_rigid.kernels.graph.heap_arrays import Rounds
-from warp_rigid.kernels.graph.support import UNSUPPORTED, Support
+from warp_rigid.kernels.graph.support import Level, Support
 from warp_rigid.kernels.schema import Bodies, ContactRecord, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.rounds import read_round_pair
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
@@ -106,7 +106,11 @@ def find_slow(slow: float, first: int, last: int, team: Team, graph: Graph, moti
         graph.resting[b] = 0
     sync_team(team)
     for b in range(first + team.lane, last, team.lanes):
-        if has_swept_constraints(b, graph, motions) and graph.depth[b] >= DEEP_ENOUGH and graph.depth[b] < UNSUPPORTED:
+        if (
+            has_swept_constraints(b, graph, motions)
+            and graph.depth[b] >= DEEP_ENOUGH
+            and graph.depth[b] < Level.UNSUPPORTED
+        ):
             island = graph.island[b]
             if graph.converged[team.env] == 0 or graph.island_speed[island] == 0.0:
                 graph.resting[island] = 1

@@ -12,7 +12,7 @@ from warp_rigid.kernels.graph.heap_arrays import Rounds
 
 wp.set_module_options({"enable_backward": False})
 
-ROUNDS_OF_A_GROUP = wp.constant(6)
+ROUNDS_OF_A_GROUP = 6
 """Rounds between two decisions on whether more follow."""
 
 

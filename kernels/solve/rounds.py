@@ -70,7 +70,7 @@ read_round_pair = record_reader(RoundRecord)
 """Reads a pair that is solved in rounds: (k, pairs)."""
 
 
-LANES = wp.constant(4)
+LANES = 4
 """Lanes that visit a pair on a GPU."""
 
 

@@ -5,14 +5,28 @@ colour. Visits of colours are numbered (turns), so that a constraint is skipped 
 since it was last solved.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import inverse_mass_of, read_entry
 from warp_rigid.kernels.common.team import Team
-from warp_rigid.kernels.graph.coloring import SERIAL
+from warp_rigid.kernels.graph.coloring import Color
 from warp_rigid.kernels.schema import Graph, Motions, Order, OrderRecord
 
 wp.set_module_options({"enable_backward": False})
+
+
+class Visited(IntEnum):
+    """Values of `OrderRecord.visited` that are not the number of a visit."""
+
+    WAITING = -1
+    """No place in the order of visits yet."""
+    NONE = 0
+    SKIPPED = 2**30
+    """Later than all visits."""
+    BOUNCING = 2**30 + 1
+    """Of a pair with restitution; one more if it belongs to the present group."""
 
 
 @wp.func
@@ -24,7 +38,7 @@ def entry_at(k: int, order: Order):
 @wp.func
 def first_of_color(color: int, team: Team, order: Order):
     """A lane's first entry of a colour. Constraints that are solved serially belong to the first lane."""
-    if color == SERIAL and team.lane > 0:
+    if color == Color.SERIAL and team.lane > 0:
         return order.color_start[team.env, color + 1]
     return order.color_start[team.env, color] + team.lane
 
@@ -32,7 +46,7 @@ def first_of_color(color: int, team: Team, order: Order):
 @wp.func
 def stride_of_color(color: int, team: Team):
     """Index increment from one constraint of a lane to its next one in a colour."""
-    return wp.where(color == SERIAL, 1, team.lanes)
+    return wp.where(color == Color.SERIAL, 1, team.lanes)
 
 
 @wp.func
@@ -65,7 +79,7 @@ def is_done(entry: OrderRecord, graph: Graph):
 @wp.func
 def solved_turn(color: int, turn: int):
     """Turn to record for a constraint solved now; a serial one counts as older, as later ones may share its bodies."""
-    return wp.where(color == SERIAL, turn - 1, turn)
+    return wp.where(color == Color.SERIAL, turn - 1, turn)
 
 
 @wp.func

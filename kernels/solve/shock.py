@@ -33,6 +33,7 @@ from warp_rigid.kernels.constraints.contact import solve_row
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import (
+    Visited,
     end_of_entries,
     entry_at,
     first_entry,
@@ -46,10 +47,6 @@ from warp_rigid.kernels.solve.schedule import (
 from warp_rigid.kernels.tuning import CONVERGED, PAIR_ITERATIONS, SHARED_ITERATIONS, SHOCK_SWEEPS
 
 wp.set_module_options({"enable_backward": False})
-
-
-SKIPPED = wp.constant(2**30)
-"""Turn of a constraint that is not visited: later than all others."""
 
 
 @wp.func
@@ -79,7 +76,7 @@ def skip_other_islands(team: Team, order: Order, graph: Graph, motions: Motions)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         island = island_of(entry_at(k, order), motions, graph)
         if graph.solver[island] == IslandSolver.SWEEPS or graph.resting[island] == 1:
-            order.entries[k].visited = SKIPPED
+            order.entries[k].visited = Visited.SKIPPED
         else:
             remains = 1
     return remains

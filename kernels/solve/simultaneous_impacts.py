@@ -23,6 +23,7 @@ from warp_rigid.kernels.solve.pair_impact import (
     with_impacts,
 )
 from warp_rigid.kernels.solve.schedule import (
+    Visited,
     end_of_entries,
     entry_at,
     first_entry,
@@ -30,13 +31,10 @@ from warp_rigid.kernels.solve.schedule import (
     note_change,
     stride_of_color,
 )
-from warp_rigid.kernels.solve.shock import SKIPPED, island_of
+from warp_rigid.kernels.solve.shock import island_of
 from warp_rigid.kernels.tuning import CONVERGED, GROUP_SWEEPS
 
 wp.set_module_options({"enable_backward": False})
-
-BOUNCING = wp.constant(SKIPPED + 1)
-"""Value of OrderRecord.visited of a pair with restitution; one more if it belongs to the present group."""
 
 
 @wp.func
@@ -46,7 +44,7 @@ def find_bouncing(team: Team, order: Order, contacts: Contacts):
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         if entry.visited == 0 and has_restitution(entry.begin, entry.end, contacts):
-            order.entries[k].visited = BOUNCING
+            order.entries[k].visited = Visited.BOUNCING
             found = 1
     return any_of_team(found, team)
 
@@ -62,12 +60,12 @@ def open_group(
         store_velocity(b, START, body.linear, body.angular, motions)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        if entry.visited >= BOUNCING:
+        if entry.visited >= Visited.BOUNCING:
             pair = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
             unit = motions.velocity_unit[entry.body_a]
             pull = relative_pull(entry, first, motions)
             hit = set_targets(entry.begin, entry.end, unit, pair, pull, dt, contacts)
-            order.entries[k].visited = BOUNCING + hit
+            order.entries[k].visited = Visited.BOUNCING + hit
             found |= hit
     return any_of_team(found, team)
 
@@ -83,7 +81,7 @@ def sweep_group(starts: bool, unit: float, team: Team, order: Order, motions: Mo
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
-            if entry.visited == BOUNCING + 1:
+            if entry.visited == Visited.BOUNCING + 1:
                 pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
                 if starts:
                     pair = with_equal_start(entry.begin, entry.end, pair, contacts)
@@ -111,7 +109,7 @@ def sum_impact_energy(
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         terms = wp.vec2(0.0, 0.0)
-        if entry.visited == BOUNCING + 1:
+        if entry.visited == Visited.BOUNCING + 1:
             after = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
             before = with_velocities(entry.body_a, entry.body_b, START, after, motions)
             lag = 0.5 * dt * relative_pull(entry, first, motions)
@@ -134,7 +132,7 @@ def close_group(
             scale_change(b, t, START, motions)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        if entry.visited == BOUNCING + 1:
+        if entry.visited == Visited.BOUNCING + 1:
             note_impact(entry.begin, entry.end, accepted_share(island_of(entry, motions, graph), graph), contacts)
             note_change(entry.body_a, turn, motions, graph)
             note_change(entry.body_b, turn, motions, graph)
