@@ -13,7 +13,7 @@ import warp_rigid as wr
 from tests.oracles import random_pile, rotate_about, stages_of
 from warp_rigid.engine.checkpoint import VERSION
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER
+from warp_rigid.kernels.collide.pair_contacts import ContactKey
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.scenes.builders import meshes
@@ -101,7 +101,7 @@ def test_contacts_without_samples_come_back(device, tmp_path):
     sim = Simulator(scene, device=device)
     sim.step()
     keys = stages_of(sim).pools.history.key.numpy()[: sim.counts()["contacts"]]
-    assert {BY_CENTER, BY_AXIS} == set(keys[keys < 0].tolist())
+    assert {ContactKey.BY_CENTER, ContactKey.BY_AXIS} == set(keys[keys < 0].tolist())
     assert stages_of(sim).pools.history.axis.numpy()[0].any()
     sim.save(tmp_path / "a.ckpt")
     loaded = Simulator.load(tmp_path / "a.ckpt")

@@ -6,7 +6,7 @@ import trimesh
 
 import warp_rigid as wr
 from tests.oracles import contact_list, find_contacts, opened
-from warp_rigid.kernels.constraints.build_contacts import GONE
+from warp_rigid.kernels.collide.pair_contacts import ContactKey
 
 HALF = 0.45
 """Half of the width of the closed room [m]; its walls are 50 mm thick."""
@@ -101,7 +101,7 @@ def test_contacts_have_the_points_that_the_search_found(device):
     for _ in range(40):
         sim.step()
         count = int(sim.stats()["contacts"].sum())
-        assert (stages.pools.contacts.key.numpy()[:count] != GONE).all()
+        assert (stages.pools.contacts.key.numpy()[:count] != ContactKey.GONE).all()
         contacts += count
     assert contacts > 100
 

@@ -13,6 +13,8 @@ that show less than a third of its overlap.
 A team of lanes processes a pair.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Touch, load_between, smaller_approach, touch_of, travel
@@ -41,11 +43,16 @@ from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-BY_CENTER = wp.constant(-2)
-"""Identity of the contact of the first body's inscribed sphere; that of the second body is one less."""
 
-BY_AXIS = wp.constant(-4)
-"""Identity of the contact of two convex bodies along the axis of their least overlap."""
+class ContactKey(IntEnum):
+    """Identities of contacts that belong to no sample."""
+
+    GONE = -1
+    """Of one reused from the last step that no longer exists; it has no impulse."""
+    BY_CENTER = -2
+    """Of the first body's inscribed sphere; that of the second body is one less."""
+    BY_AXIS = -4
+    """Of two convex bodies along the axis of their least overlap."""
 
 
 @wp.func
@@ -145,7 +152,7 @@ def keep_ball(
         touch = center_inside(side, a, b, shapes, bodies, state, motions)
         if touch.gap < deepest:
             deepest = touch.gap
-            key = BY_CENTER - side
+            key = ContactKey.BY_CENTER - side
         side += 1
     if key == 0:
         return kept
@@ -311,7 +318,7 @@ def choose(
         kept = keep_loaded(pair, kept, size, lane, lanes, near, history, pairs)
     kept *= closing
     if along == 1:
-        return add_contact(pair, BY_AXIS, kept, lane, pairs)
+        return add_contact(pair, ContactKey.BY_AXIS, kept, lane, pairs)
     if not are_solid(bodies.shape[a], bodies.shape[b], shapes):
         kept = part(pair, kept, offered & Closing.CROSSED, lane, lanes, shapes, bodies, state, near, pairs)
     if not solid and wp.length_sq(pairs.axis[pair]) == 0.0:

@@ -6,7 +6,7 @@ from warp_rigid.kernels.collide.approach import Touch
 from warp_rigid.kernels.collide.convex_pairs import touch_along
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
-from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER, center_inside
+from warp_rigid.kernels.collide.pair_contacts import ContactKey, center_inside
 from warp_rigid.kernels.collide.parting import is_parting
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of, inverse_mass_of
@@ -40,9 +40,6 @@ from warp_rigid.kernels.tuning import TOUCHING, WIDER
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False})
-
-GONE = wp.constant(-1)
-"""Identity of a contact reused from the last step that no longer exists; it has no impulse."""
 
 
 @wp.func
@@ -130,7 +127,7 @@ def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contact
     """Initialize the impulses from the last step, transformed to the current contact frame, or with zero."""
     impulse = wp.vec3(0.0, 0.0, 0.0)
     angular_impulse = wp.vec3(0.0, 0.0, 0.0)
-    if warm == 1 and contacts.key[c] != GONE:
+    if warm == 1 and contacts.key[c] != ContactKey.GONE:
         last = last_contact(pair, contacts.key[c], history)
         if last >= 0:
             impulse = in_contact_frame(row, history.impulse[last])
@@ -153,10 +150,10 @@ def kept_touch(
     """The contact point of a near sample, or of a contact that belongs to no sample."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    if place == BY_AXIS:
+    if place == ContactKey.BY_AXIS:
         return touch_along(pairs.axis[pair], a, b, shapes, bodies, state)
     if place < 0:
-        return center_inside(BY_CENTER - place, a, b, shapes, bodies, state, motions)
+        return center_inside(ContactKey.BY_CENTER - place, a, b, shapes, bodies, state, motions)
     touch = Touch()
     touch.position = near.position[place]
     touch.normal = near.normal[place]
@@ -242,7 +239,7 @@ def build_contacts(
             if touch.gap >= FAR:
                 touch.position = motions.center[a]
                 pairs.searched[pair] = 0
-                contacts.key[c] = GONE
+                contacts.key[c] = ContactKey.GONE
             contacts.pair[c] = pair
             contacts.position[c] = touch.position
             row = build_row(a, b, touch, dt, size, shapes, bodies, state, motions)

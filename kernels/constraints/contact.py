@@ -36,11 +36,11 @@ write_contact = record_writer(ContactRecord, flag="more", optional_from="surface
 read_impulse = group_reader(ImpulseRecord)
 write_impulse = group_writer(ImpulseRecord)
 
-IMPULSE = wp.constant(group_of(ImpulseRecord, "impulse"))
-ANGULAR_IMPULSE = wp.constant(group_of(ImpulseRecord, "angular_impulse"))
-IMPACT_IMPULSE = wp.constant(group_of(ImpulseRecord, "impact_impulse"))
-START_IMPULSE = wp.constant(group_of(ImpulseRecord, "start_impulse"))
-START_ANGULAR_IMPULSE = wp.constant(group_of(ImpulseRecord, "start_angular_impulse"))
+IMPULSE = group_of(ImpulseRecord, "impulse")
+ANGULAR_IMPULSE = group_of(ImpulseRecord, "angular_impulse")
+IMPACT_IMPULSE = group_of(ImpulseRecord, "impact_impulse")
+START_IMPULSE = group_of(ImpulseRecord, "start_impulse")
+START_ANGULAR_IMPULSE = group_of(ImpulseRecord, "start_angular_impulse")
 """Impulses of a row; components are along the normal and the two tangents."""
 
 

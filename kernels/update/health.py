@@ -3,6 +3,8 @@
 They are not a stage of the recorded step: they read what it left, and change only `health` and the warnings.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.common.surfaces import runs
@@ -49,8 +51,14 @@ HEAVIEST_LOAD = wp.constant(1.0e5)
 SPACING = wp.constant(2.0**-23)
 """Largest distance of neighbouring numbers in single precision, relative to them."""
 
-GAINED, KINETIC, DEEPEST, CHECKS = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
-"""Components of State.health."""
+
+class Health(IntEnum):
+    """Components of `State.health`."""
+
+    GAINED = 0
+    KINETIC = 1
+    DEEPEST = 2
+    CHECKS = 3
 
 
 @wp.func
@@ -125,19 +133,23 @@ def check_bodies(shapes: Shapes, bodies: Bodies, motions: Motions, state: State,
     if bodies.motion[b] != Motion.DYNAMIC:
         return
     if motions.role[b] != Role.FREE:
-        state.health[b] = wp.vec4d(health[GAINED], wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
+        state.health[b] = wp.vec4d(health[Health.GAINED], wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
         return
     env = bodies.env[b]
     rank = envs.first_body[env + 1] - b
     checks = wp.float64(0.0)
-    if depth > wp.float64(0.0) and depth > SHRINKING * health[DEEPEST] and health[DEEPEST] > wp.float64(0.0):
-        checks = health[CHECKS] + wp.float64(1.0)
+    if (
+        depth > wp.float64(0.0)
+        and depth > SHRINKING * health[Health.DEEPEST]
+        and health[Health.DEEPEST] > wp.float64(0.0)
+    ):
+        checks = health[Health.CHECKS] + wp.float64(1.0)
     v = wp.vec3d(state.linear_velocity[b])
     w = wp.vec3d(state.angular_velocity[b])
     kinetic = wp.float64(0.5 * bodies.mass[b]) * wp.dot(v, v) + rotational_energy(
         wp.quatd(state.orientation[b]), w, bodies.inertia[b]
     )
-    state.health[b] = wp.vec4d(health[GAINED], kinetic, depth, checks)
+    state.health[b] = wp.vec4d(health[Health.GAINED], kinetic, depth, checks)
     if checks >= STUCK_CHECKS:
         wp.atomic_max(envs.stuck, env, rank)
     if is_coarse(motions.center[b], bodies.shape[b], shapes):
@@ -174,17 +186,17 @@ def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, sta
     for b in range(first, envs.first_body[env + 1]):
         health = state.health[b]
         if bodies.motion[b] != Motion.DYNAMIC:
-            moved = health[GAINED] > wp.float64(0.0) or shapes.shapes[bodies.shape[b]].rise > 0.0
+            moved = health[Health.GAINED] > wp.float64(0.0) or shapes.shapes[bodies.shape[b]].rise > 0.0
             if moved or runs(b, bodies):
                 driven = 1
             state.health[b] = wp.vec4d()
         else:
-            gained += health[GAINED]
-            kinetic += health[KINETIC]
+            gained += health[Health.GAINED]
+            kinetic += health[Health.KINETIC]
             weight = bodies.mass[b] * wp.length(motions.acceleration[b])
             lift += wp.float64(weight * shapes.shapes[bodies.shape[b]].size)
-            if health[KINETIC] > most:
-                most = health[KINETIC]
+            if health[Health.KINETIC] > most:
+                most = health[Health.KINETIC]
                 fastest = b - first
     before = envs.health[env]
     largest = wp.max(kinetic, FADING * before[1])

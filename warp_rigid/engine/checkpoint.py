@@ -24,7 +24,7 @@ from warp_rigid.engine.world import World
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.collide.pair_contacts import BY_AXIS
+from warp_rigid.kernels.collide.pair_contacts import ContactKey
 from warp_rigid.kernels.declare import Lifetime
 from warp_rigid.kernels.tuning import thresholds
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -217,7 +217,7 @@ def _checked(
     if last == "contact_start" and np.diff(rows).max(initial=0) > schema.PAIR_SLOTS:
         raise ValueError(f"{name} must not give a pair more than {schema.PAIR_SLOTS} contacts")
     if last == "key":
-        within(name, rows, BY_AXIS, 2 * world.model.shapes.samples.shape[0] - 1)
+        within(name, rows, ContactKey.BY_AXIS, 2 * world.model.shapes.samples.shape[0] - 1)
     return rows
 
 
