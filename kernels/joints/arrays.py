@@ -110,14 +110,14 @@ Joints = layout(
     pose_turn=Scratch(wp.quatd, "joined", "", "orientation at the start of the step, or predicted for its end"),
 )
 
-TURN_WORDS = 8
-"""Words of 32 turns in which the turns of a body are marked; later turns follow one another."""
+COLOR_WORDS = 8
+"""Words of 32 colours in which the colours of a body are marked; later ones follow one another."""
 
 VisitOrder = layout(
     "VisitOrder",
-    "The pairs of mechanisms whose contacts are solved where the joints hold, turn by turn.",
-    entries=Field(int, "visits", "", "their indices in `Order.entries`, turn by turn", "pairs"),
-    end=Field(int, "visits", "", "from the first entry of an environment on: one past the last pair of each turn"),
-    count=Field(int, "envs", "", "number of turns"),
-    taken=Field(wp.uint32, f"joined, {TURN_WORDS}", "", "bit masks of the turns that touch a body, or its mechanism"),
+    "The pairs of mechanisms whose contacts are solved where the joints hold, colour by colour.",
+    entries=Field(int, "visits", "", "their indices in `Order.entries`, colour by colour", "pairs"),
+    end=Field(int, "visits", "", "from the first entry of an environment on: one past the last pair of each colour"),
+    count=Field(int, "envs", "", "number of colours"),
+    taken=Field(wp.uint32, f"joined, {COLOR_WORDS}", "", "bit masks of the colours of a body, or of its mechanism"),
 )

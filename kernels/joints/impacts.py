@@ -158,25 +158,25 @@ def bounce_alone(entry: OrderRecord, dt: float, pull: wp.vec3, motions: Motions,
 
 
 @wp.func
-def move_mechanisms(entry: OrderRecord, turn: int, part: Team, graph: Graph, motions: Motions, joints: Joints):
+def move_mechanisms(entry: OrderRecord, stamp: int, part: Team, graph: Graph, motions: Motions, joints: Joints):
     """Apply the impulses of a visit to the mechanisms of both bodies, and note that all their bodies have changed."""
     side = int(0)
     while side < 2:
         b = wp.where(side == 0, entry.body_a, entry.body_b)
         m = solved_mechanism(b, joints)
         if part.lane == 0:
-            note_change(b, turn, motions, graph)
+            note_change(b, stamp, motions, graph)
         if m >= 0:
             move_mechanism(m, b, VELOCITY, part, motions, joints)
             for i in range(joints.first_member[m] + part.lane, joints.first_member[m + 1], part.lanes):
-                note_change(joints.member[i], turn, motions, graph)
+                note_change(joints.member[i], stamp, motions, graph)
         side += 1
 
 
 @wp.func
 def bounce_pair(
     entry: OrderRecord,
-    turn: int,
+    stamp: int,
     dt: float,
     first: int,
     part: Team,
@@ -198,13 +198,13 @@ def bounce_pair(
     if part.lane == 0:
         bounce_alone(entry, dt, pull, motions, contacts, joints)
     sync_warp(part.lanes)
-    move_mechanisms(entry, turn, part, graph, motions, joints)
+    move_mechanisms(entry, stamp, part, graph, motions, joints)
     return 1
 
 
 @wp.func
 def bounce_pairs(
-    turn: int,
+    stamp: int,
     dt: float,
     first: int,
     team: Team,
@@ -226,6 +226,6 @@ def bounce_pairs(
             entry.end = entry.begin + constraints.row_count[k]
             if can_bounce(entry, contacts, joints):
                 if team.lane < part.lanes:
-                    collided |= bounce_pair(entry, turn, dt, first, part, graph, motions, contacts, joints)
+                    collided |= bounce_pair(entry, stamp, dt, first, part, graph, motions, contacts, joints)
                 sync_team(team)
     return any_of_team(collided, team)

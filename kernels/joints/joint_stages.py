@@ -40,7 +40,7 @@ from warp_rigid.kernels.joints.mechanism import (
 from warp_rigid.kernels.joints.parts import move_in_parts
 from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose, turn_in_step
 from warp_rigid.kernels.joints.push import push_touching
-from warp_rigid.kernels.joints.turns import choose_turns, solve_touching
+from warp_rigid.kernels.joints.visit_coloring import color_visits, solve_touching
 from warp_rigid.kernels.schema import (
     Bodies,
     Constraints,
@@ -175,15 +175,15 @@ def solve_impacts_with_joints(
     joined = leave_out_joined(team, order, contacts, joints)
     sync_team(team)
     bounces = find_bouncing(team, order, contacts)
-    turn = int(1)
+    stamp = int(1)
     while left > 0:
-        collided = sweep_impacts(turn, dt, envs, team, order, graph, motions, contacts)
-        turn += order.color_count[env] + 1
+        collided = sweep_impacts(stamp, dt, envs, team, order, graph, motions, contacts)
+        stamp += order.color_count[env] + 1
         if bounces == 1:
-            collided |= bounce_groups(turn, dt, envs, team, order, graph, motions, contacts)
+            collided |= bounce_groups(stamp, dt, envs, team, order, graph, motions, contacts)
         if joined == 1:
             add_rotor_speeds(-1.0, team, motions, joints)
-            collided |= bounce_pairs(turn, dt, first, team, constraints, graph, motions, contacts, joints)
+            collided |= bounce_pairs(stamp, dt, first, team, constraints, graph, motions, contacts, joints)
             add_rotor_speeds(1.0, team, motions, joints)
         left = collided * (left - 1)
         if team.lane == 0:
@@ -202,7 +202,7 @@ def warm_start_with_joints(
     joints: Joints,
     visits: VisitOrder,
 ):
-    """One team per environment: find the mechanisms whose contacts are solved where the joints hold, and their turns.
+    """One team per environment: find mechanisms whose contacts are solved where the joints hold; colour their pairs.
 
     Apply the initial impulses of all other contacts.
     """
@@ -212,7 +212,7 @@ def warm_start_with_joints(
         last = envs.first_body[team.env + 1]
         leave_out_of_shock(first, last, team, order, motions, joints, graph)
         first_row = constraints.first_row[constraints.start[team.env]]
-        choose_turns(first, last, first_row, team, order, graph, motions, joints, visits)
+        color_visits(first, last, first_row, team, order, graph, motions, joints, visits)
     if envs.warm_starting[team.env] == 1:
         store_before_impulses(team, envs, motions, joints)
         warm_start_others(team, order, motions, contacts, joints)
@@ -252,21 +252,21 @@ def sweep_with_joints(
     done = int(0)
     residual = float(0.0)
     is_searched = after_shock == 1 and searched(env, envs, graph)
-    stage = int(wp.where(starts, Phase.STARTING, stage_after(Phase.STARTING, left, touched, is_searched)))
-    while stage != Phase.OVER:
+    phase = int(wp.where(starts, Phase.STARTING, phase_after(Phase.STARTING, left, touched, is_searched)))
+    while phase != Phase.OVER:
         change = sweep_once(
-            stage, after_shock, touched, layered, dt, team, order, graph, motions, contacts, joints, visits
+            phase, after_shock, touched, layered, dt, team, order, graph, motions, contacts, joints, visits
         )
-        if stage == Phase.SWEEPING:
+        if phase == Phase.SWEEPING:
             residual = change
             done += 1
             unsolved = any_of_team(wp.where(residual > CONVERGED * unit, 1, 0), team)
             left = unsolved * (left - 1)
-        if stage == Phase.SEARCHING:
+        if phase == Phase.SEARCHING:
             since = wp.where(after_shock == 0, BEFORE_CONTACTS, START)
             search_energy(since, dt, team, envs, order, graph, motions, contacts, joints)
-        is_first = starts and done == 1 and stage == Phase.SWEEPING
-        stage = wp.where(is_first, Phase.SEARCHING, stage_after(stage, left, touched, is_searched))
+        is_first = starts and done == 1 and phase == Phase.SWEEPING
+        phase = wp.where(is_first, Phase.SEARCHING, phase_after(phase, left, touched, is_searched))
     if after_shock == 0:
         graph.converged[env] = 1 - unsolved
     if after_shock != AFTER_PASSES:
@@ -274,22 +274,22 @@ def sweep_with_joints(
 
 
 @wp.func
-def stage_after(stage: int, left: int, touched: int, is_searched: bool):
-    """The stage that follows, with the number of sweeps left.
+def phase_after(phase: int, left: int, touched: int, is_searched: bool):
+    """The phase that follows, with the number of sweeps left.
 
     At last, where they have contacts, the mechanisms are solved once more, so that no limit pulls, before a line search
     if `is_searched`.
     """
     if left > 0:
         return Phase.SWEEPING
-    if touched == 0 or stage == Phase.ENDING or (stage == Phase.SEARCHING and is_searched):
+    if touched == 0 or phase == Phase.ENDING or (phase == Phase.SEARCHING and is_searched):
         return Phase.OVER
     return wp.where(is_searched, Phase.SEARCHING, Phase.ENDING)
 
 
 @wp.func
 def sweep_once(
-    stage: int,
+    phase: int,
     after_shock: int,
     touched: int,
     layered: int,
@@ -308,13 +308,13 @@ def sweep_once(
     solution alone.
     """
     change = float(0.0)
-    if stage == Phase.SWEEPING and after_shock != AFTER_PASSES:
+    if phase == Phase.SWEEPING and after_shock != AFTER_PASSES:
         for level in range(layered, layered * graph.level_count[team.env] + 1):
             change = wp.max(change, sweep_others(level, team, order, graph, motions, contacts, joints))
-    if stage != Phase.STARTING:
+    if phase != Phase.STARTING:
         change = wp.max(change, solve_joints(team, dt, motions, joints))
-    if touched == 1 and stage <= Phase.SWEEPING:
-        start = wp.where(stage == Phase.STARTING, 1, 0)
+    if touched == 1 and phase <= Phase.SWEEPING:
+        start = wp.where(phase == Phase.STARTING, 1, 0)
         change = wp.max(change, solve_touching(start, team, order, motions, contacts, joints, visits))
     return change
 

@@ -7,7 +7,7 @@ an impulse causes where the joints hold: the response M^-1 - M^-1 G^T A^-1 G M^-
 impulse is then applied to the whole mechanism. Such a visit minimizes the energy over the impulses of a pair and of all
 joints of its mechanisms.
 
-The pairs are visited in turns (turns.py).
+The pairs are visited colour by colour (visit_coloring.py).
 """
 
 from enum import IntEnum

@@ -20,7 +20,7 @@ from warp_rigid.kernels.joints.loads import (
     store_impulses,
     with_responses,
 )
-from warp_rigid.kernels.joints.turns import begin_of_turn, end_of_turn, visited_pair
+from warp_rigid.kernels.joints.visit_coloring import begin_of_visits, end_of_visits, visited_pair
 from warp_rigid.kernels.schema import Contacts, Motions, Order, OrderRecord
 from warp_rigid.kernels.tuning import PAIR_ITERATIONS, PUSH_OUT_CONVERGED
 
@@ -124,12 +124,12 @@ def push_visited(entry: OrderRecord, team: Team, motions: Motions, contacts: Con
 
 @wp.func
 def push_touching(team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints, visits: VisitOrder):
-    """Separate all pairs of mechanisms, turn by turn, as `solve_touching`. Returns a lane's largest change [m/s]."""
+    """Separate all pairs of mechanisms, in the order of `solve_touching`. Returns a lane's largest change [m/s]."""
     change = float(0.0)
     part = part_of_team(team)
-    for turn in range(visits.count[team.env]):
-        first = begin_of_turn(team.env, turn, order, visits) + team.lane / part.lanes
-        for place in range(first, end_of_turn(team.env, turn, order, visits), team.lanes / part.lanes):
+    for color in range(visits.count[team.env]):
+        first = begin_of_visits(team.env, color, order, visits) + team.lane / part.lanes
+        for place in range(first, end_of_visits(team.env, color, order, visits), team.lanes / part.lanes):
             entry = visited_pair(place, order, visits)
             if wants_push(entry, contacts):
                 change = wp.max(change, push_visited(entry, part, motions, contacts, joints))

@@ -4,7 +4,7 @@ A structure that carries load sideways, such as an arch or a card house, needs m
 load has no order, so shock propagation is of little use, and an error of the velocities deforms it before the impulses
 of earlier steps can correct the error. Islands whose bodies hardly move, and were placed where they are, are therefore
 swept until no row changes a velocity any more. At rest the impulses of the last step solve the problem, and no such
-sweep is needed. A structure that topples is swept further, too, but less often: its contacts turn in each step,
+sweep is needed. A structure that topples is swept further, too, but less often: its contacts done in each step,
 and impulses that have not converged would add energy. If a structure in motion is still far from its solution, as heavy
 boxes that slide on a light tray are, it is swept as long as one at rest, without momentum. Piles of bodies whose masses differ much are swept in the same
 way: the sweeps before converge slowly where heavy bodies are on light ones.
@@ -71,7 +71,7 @@ def store_calm_impulses(team: Team, order: Order, graph: Graph, motions: Motions
 
 @wp.func
 def sweep_calm(
-    turn: int, moving: int, far: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+    done: int, moving: int, far: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """Solve all constraints of calm islands once. Returns a lane's largest change [m/s].
 
@@ -84,11 +84,11 @@ def sweep_calm(
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
             limit = limit_of(entry, motions, graph)
-            if far == 1 and limit == moving and turn >= moving and not is_pile(island_of(entry, motions, graph), graph):
-                limit = turn + 1
-            if turn <= limit:
+            if far == 1 and limit == moving and done >= moving and not is_pile(island_of(entry, motions, graph), graph):
+                limit = done + 1
+            if done <= limit:
                 change = wp.max(change, solve_constraint(entry, motions, contacts))
-            if turn == limit:
+            if done == limit:
                 raise_to(team.env, change, graph.residual)
         sync_team(team)
     return change
@@ -108,14 +108,14 @@ def sweeps_without_momentum(change: float, start: float, gained: float, most: in
 
 
 @wp.func
-def momentum_of(turn: int, limit: int, least: int):
+def momentum_of(done: int, limit: int, least: int):
     """Momentum after a sweep over an island that has at most `limit` of them; 0 if it has at most `least`."""
-    return wp.where(limit > least, momentum(turn, limit), 0.0)
+    return wp.where(limit > least, momentum(done, limit), 0.0)
 
 
 @wp.func
 def extrapolate(
-    turn: int,
+    done: int,
     least: int,
     team: Team,
     envs: Environments,
@@ -127,8 +127,8 @@ def extrapolate(
     """Extrapolate velocities and impulses from their change since the sweep before."""
     env = team.env
     for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
-        if inverse_mass_of(b, motions) > 0.0 and turn <= graph.further_sweeps[b]:
-            beta = momentum_of(turn, graph.further_sweeps[b], least)
+        if inverse_mass_of(b, motions) > 0.0 and done <= graph.further_sweeps[b]:
+            beta = momentum_of(done, graph.further_sweeps[b], least)
             linear = load_velocity(b, VELOCITY, motions)
             angular = load_velocity(b, VELOCITY + 1, motions)
             motions.solver_bodies[b].linear = linear + beta * (linear - load_velocity(b, START, motions))
@@ -137,9 +137,9 @@ def extrapolate(
     for k in range(first_entry(team, order), end_of_entries(env, order), team.lanes):
         entry = entry_at(k, order)
         limit = limit_of(entry, motions, graph)
-        if turn <= limit:
+        if done <= limit:
             for c in range(entry.begin, entry.end):
-                extrapolate_row(c, momentum_of(turn, limit, least), contacts)
+                extrapolate_row(c, momentum_of(done, limit, least), contacts)
     sync_team(team)
 
 
@@ -171,23 +171,23 @@ def sweep_calm_islands(
         graph.residual[env] = float(others) * start
     sync_team(team)
     change = float(0.0)
-    turn = int(0)
+    done = int(0)
     halved = int(0)
     unsolved = int(1)
     far = int(1)
-    while unsolved == 1 and turn < most and 2 * (turn - halved) < most:
-        turn += 1
-        change = sweep_calm(turn, moving, far, team, order, graph, motions, contacts)
+    while unsolved == 1 and done < most and 2 * (done - halved) < most:
+        done += 1
+        change = sweep_calm(done, moving, far, team, order, graph, motions, contacts)
         unsolved = any_of_team(wp.where(change > still, 1, 0), team)
-        if far == 1 and turn >= moving:
+        if far == 1 and done >= moving:
             far = any_of_team(wp.where(change > NEGLIGIBLE * gained, 1, 0), team)
             raise_to(env, float(1 - far) * change, graph.residual)
         if any_of_team(wp.where(change > goal, 1, 0), team) == 0:
             goal *= 0.5
-            halved = turn
+            halved = done
         least = wp.max(least, sweeps_without_momentum(change, start, gained, most, moving, team))
-        if unsolved == 1 and turn < most:
-            extrapolate(turn, least, team, envs, order, graph, motions, contacts)
+        if unsolved == 1 and done < most:
+            extrapolate(done, least, team, envs, order, graph, motions, contacts)
     if team.lane == 0:
-        graph.sweeps[env] += turn
+        graph.sweeps[env] += done
     raise_to(env, change, graph.residual)

@@ -120,7 +120,7 @@ def push_contact_apart(c: int, entry: RoundRecord, beta: float, pair: BodyPair, 
 @wp.func
 def push_pair_apart(
     entry: RoundRecord,
-    turn: int,
+    round: int,
     lane: int,
     lanes: int,
     pair: BodyPair,
@@ -130,11 +130,11 @@ def push_pair_apart(
     contacts: Contacts,
 ):
     """Push a pair apart in a round. Returns the bound on the change of a body's pseudo-velocity [m/s]."""
-    beta = momentum(turn, entry.limit)
+    beta = momentum(round, entry.limit)
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)
-    return store_changes(entry, turn % 2, lane, lanes, wrench, enough, slots, bodies)
+    return store_changes(entry, round % 2, lane, lanes, wrench, enough, slots, bodies)
 
 
 @wp.kernel
@@ -150,17 +150,17 @@ def push_round(
     lanes = lanes_of_pair()
     lane = wp.tid() % lanes
     share = first_share(wp.tid() / lanes, place, sharing, rounds)
-    while share.turn > 0:
+    while share.round > 0:
         for k in range(share.first, share.end, share.stride):
             entry = read_round_pair(k, rounds.pairs)
-            if needs_round(entry, share.turn, rounds):
-                pair = velocities_of(entry, 0.0, (share.turn - 1) % 2, lane, lanes, slots, bodies)
-                if is_stirred(pair, share.turn):
+            if needs_round(entry, share.round, rounds):
+                pair = velocities_of(entry, 0.0, (share.round - 1) % 2, lane, lanes, slots, bodies)
+                if is_stirred(pair, share.round):
                     enough = tolerance(entry, rounds)
-                    change = push_pair_apart(entry, share.turn, lane, lanes, pair, enough, slots, bodies, contacts)
-                    record_change(k, entry, share.turn, change, enough, rounds)
+                    change = push_pair_apart(entry, share.round, lane, lanes, pair, enough, slots, bodies, contacts)
+                    record_change(k, entry, share.round, change, enough, rounds)
                 else:
-                    keep_changes(k, entry, share.turn, lane, lanes, rounds, slots)
+                    keep_changes(k, entry, share.round, lane, lanes, rounds, slots)
         share = next_share(sharing, rounds)
 
 

@@ -22,7 +22,7 @@ from warp_rigid.kernels.solve.schedule import (
     forget_visits,
     is_done,
     note_change,
-    solved_turn,
+    solved_stamp,
     stride_of_color,
 )
 from warp_rigid.kernels.solve.simultaneous_impacts import bounce_together, find_bouncing
@@ -40,7 +40,7 @@ def is_left_out(entry: OrderRecord, mode: int, graph: Graph):
 @wp.func
 def solve_impact(
     k: int,
-    turn: int,
+    stamp: int,
     solved: int,
     dt: float,
     first: int,
@@ -67,15 +67,15 @@ def solve_impact(
     lag = 0.5 * dt * pull
     after = after_impact(entry.begin, entry.end, 1.0, 1.0, unit, lag, before, contacts)
     store_bodies(a, b, after, motions)
-    order.entries[k].visited = turn - 1
-    note_change(a, turn, motions, graph)
-    note_change(b, turn, motions, graph)
+    order.entries[k].visited = stamp - 1
+    note_change(a, stamp, motions, graph)
+    note_change(b, stamp, motions, graph)
     return 1
 
 
 @wp.func
 def sweep_impacts(
-    turn: int,
+    stamp: int,
     dt: float,
     envs: Environments,
     team: Team,
@@ -84,16 +84,16 @@ def sweep_impacts(
     motions: Motions,
     contacts: Contacts,
 ):
-    """Solve the impacts of all pairs without restitution once, in the turns after `turn`. Returns 1 if any."""
+    """Solve the impacts of all pairs without restitution once, with the stamps after `stamp`. Returns 1 if any."""
     first = envs.collision_first[team.env]
     mode = envs.shock_propagation[team.env]
     collided = int(0)
     for color in range(order.color_count[team.env]):
-        turn += 1
+        stamp += 1
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             collided |= solve_impact(
-                k, turn, solved_turn(color, turn), dt, first, mode, order, graph, motions, contacts
+                k, stamp, solved_stamp(color, stamp), dt, first, mode, order, graph, motions, contacts
             )
         sync_team(team)
     return any_of_team(collided, team)
@@ -101,7 +101,7 @@ def sweep_impacts(
 
 @wp.func
 def bounce_groups(
-    turn: int,
+    stamp: int,
     dt: float,
     envs: Environments,
     team: Team,
@@ -118,7 +118,7 @@ def bounce_groups(
     # A sweep passes an impact on by two spheres of a row.
     left = int(2)
     while left > 0:
-        found = bounce_together(turn, dt, first, begin, end, team, order, graph, motions, contacts)
+        found = bounce_together(stamp, dt, first, begin, end, team, order, graph, motions, contacts)
         collided |= found
         left = found * (left - 1)
     return collided
@@ -126,7 +126,7 @@ def bounce_groups(
 
 @wp.func
 def open_impacts(team: Team, envs: Environments, order: Order, graph: Graph):
-    """Reset the turns. Returns the maximum number of sweeps, 0 without constraints."""
+    """Reset the stamps. Returns the maximum number of sweeps, 0 without constraints."""
     env = team.env
     if order.color_count[env] == 0:
         return 0
@@ -152,12 +152,12 @@ def solve_impacts(
     if left == 0:
         return
     bounces = find_bouncing(team, order, contacts)
-    turn = int(1)
+    stamp = int(1)
     while left > 0:
-        collided = sweep_impacts(turn, dt, envs, team, order, graph, motions, contacts)
-        turn += order.color_count[env] + 1
+        collided = sweep_impacts(stamp, dt, envs, team, order, graph, motions, contacts)
+        stamp += order.color_count[env] + 1
         if bounces == 1:
-            collided |= bounce_groups(turn, dt, envs, team, order, graph, motions, contacts)
+            collided |= bounce_groups(stamp, dt, envs, team, order, graph, motions, contacts)
         left = collided * (left - 1)
         if team.lane == 0:
             graph.impact_sweeps[env] += collided

@@ -18,9 +18,9 @@ ROUNDS_OF_A_GROUP = 6
 
 @wp.struct
 class Share:
-    """Pairs that a thread solves in a round, from `first` to `end` - 1 with a stride; `turn` is 0 if there is none."""
+    """Pairs that a thread solves in a round, from `first` to `end` - 1 with a stride; `round` is 0 if there is none."""
 
-    turn: int
+    round: int
     first: int
     end: int
     stride: int
@@ -34,14 +34,14 @@ def chunk_size(sharing: Sharing, rounds: Rounds):
 
 
 @wp.func
-def are_over(turn: int, rounds: Rounds):
+def are_over(round: int, rounds: Rounds):
     """Whether the rounds end before this one, which all earlier ones precede. It is decided once in a group."""
-    return turn > 1 and (turn - 1) % ROUNDS_OF_A_GROUP == 0 and seen(rounds.latest, 0) < turn - 1
+    return round > 1 and (round - 1) % ROUNDS_OF_A_GROUP == 0 and seen(rounds.latest, 0) < round - 1
 
 
 @wp.func
 def next_ticket(chunks: int, sharing: Sharing, rounds: Rounds):
-    """Claim the next chunk of all rounds: (turn - 1) * chunks + chunk. Returns -1 if there is none yet, or any more."""
+    """Claim the next chunk of all rounds: (round - 1) * chunks + chunk. Returns -1 if there is none."""
     attempt = int(0)
     while attempt < PATIENCE and seen(rounds.again, 0) == 1:
         ticket = seen(sharing.tickets.claimed, sharing.launch)
@@ -64,7 +64,7 @@ def claimed_share(sharing: Sharing, rounds: Rounds):
     chunks = (rounds.count[0] + size - 1) / size
     ticket = next_ticket(chunks, sharing, rounds)
     if ticket >= 0:
-        share.turn = ticket / chunks + 1
+        share.round = ticket / chunks + 1
         share.first = ticket % chunks * size
         share.end = wp.min(share.first + size, rounds.count[0])
         share.stride = 1

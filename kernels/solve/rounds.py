@@ -75,11 +75,11 @@ LANES = 4
 
 
 @wp.func
-def momentum(turn: int, limit: int):
+def momentum(round: int, limit: int):
     """Momentum after a round or sweep. The first one and the last PLAIN_ROUNDS of at most `limit` have none."""
-    if turn + PLAIN_ROUNDS > limit:
+    if round + PLAIN_ROUNDS > limit:
         return 0.0
-    return wp.min(float(turn - 1) / float(turn + 2), MOST_MOMENTUM)
+    return wp.min(float(round - 1) / float(round + 2), MOST_MOMENTUM)
 
 
 @wp.func
@@ -270,26 +270,26 @@ def store_changes(
 
 
 @wp.func
-def needs_round(entry: RoundRecord, turn: int, rounds: Rounds):
+def needs_round(entry: RoundRecord, round: int, rounds: Rounds):
     """Whether a pair takes part in a round: the last one changed a velocity, and the limit is not reached."""
-    return turn <= entry.limit and rounds.last_change[entry.env] >= turn - 1
+    return round <= entry.limit and rounds.last_change[entry.env] >= round - 1
 
 
 @wp.func
-def is_stirred(pair: BodyPair, turn: int):
+def is_stirred(pair: BodyPair, round: int):
     """Whether a pair must be solved in a round: the last one changed the velocity of one of its bodies noticeably."""
-    return turn == 1 or pair.change > 0.0
+    return round == 1 or pair.change > 0.0
 
 
 @wp.func
-def record_change(k: int, entry: RoundRecord, turn: int, change: float, tolerance: float, rounds: Rounds):
+def record_change(k: int, entry: RoundRecord, round: int, change: float, tolerance: float, rounds: Rounds):
     """Record that a pair was solved, whether it changed a velocity, and whether another round is needed."""
-    rounds.visited[k] = turn
+    rounds.visited[k] = round
     if change > tolerance:
-        if rounds.last_change[entry.env] != turn:
-            rounds.last_change[entry.env] = turn
-        if turn < entry.limit and rounds.latest[0] != turn:
-            rounds.latest[0] = turn
+        if rounds.last_change[entry.env] != round:
+            rounds.last_change[entry.env] = round
+        if round < entry.limit and rounds.latest[0] != round:
+            rounds.latest[0] = round
 
 
 @wp.func
@@ -489,7 +489,7 @@ def solve_contact(
 @wp.func
 def solve_pair(
     entry: RoundRecord,
-    turn: int,
+    round: int,
     lane: int,
     lanes: int,
     pair: BodyPair,
@@ -498,11 +498,11 @@ def solve_pair(
     contacts: Contacts,
 ):
     """Solve the contacts of a pair in a round. Returns the bound on the change of a body's velocity [m/s]."""
-    beta = momentum(turn, entry.limit)
+    beta = momentum(round, entry.limit)
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = solve_contact(c, entry, beta, pair, wrench, bodies, contacts)
-    return store_changes(entry, turn % 2, lane, lanes, wrench, entry.tolerance, slots, bodies)
+    return store_changes(entry, round % 2, lane, lanes, wrench, entry.tolerance, slots, bodies)
 
 
 @wp.kernel
@@ -519,18 +519,18 @@ def solve_round(
     lanes = lanes_of_pair()
     lane = wp.tid() % lanes
     share = first_share(wp.tid() / lanes, place, sharing, rounds)
-    while share.turn > 0:
+    while share.round > 0:
         for k in range(share.first, share.end, share.stride):
             entry = read_round_pair(k, rounds.pairs)
-            if needs_round(entry, share.turn, rounds):
-                pair = velocities_of(entry, 1.0, (share.turn - 1) % 2, lane, lanes, slots, bodies)
-                if is_stirred(pair, share.turn):
-                    change = solve_pair(entry, share.turn, lane, lanes, pair, slots, bodies, contacts)
-                    record_change(k, entry, share.turn, change, entry.tolerance, rounds)
-                    if change <= entry.tolerance or share.turn == entry.limit:
+            if needs_round(entry, share.round, rounds):
+                pair = velocities_of(entry, 1.0, (share.round - 1) % 2, lane, lanes, slots, bodies)
+                if is_stirred(pair, share.round):
+                    change = solve_pair(entry, share.round, lane, lanes, pair, slots, bodies, contacts)
+                    record_change(k, entry, share.round, change, entry.tolerance, rounds)
+                    if change <= entry.tolerance or share.round == entry.limit:
                         raise_to(entry.env, change, residual)
                 else:
-                    keep_changes(k, entry, share.turn, lane, lanes, rounds, slots)
+                    keep_changes(k, entry, share.round, lane, lanes, rounds, slots)
         share = next_share(sharing, rounds)
 
 

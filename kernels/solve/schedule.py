@@ -1,7 +1,7 @@
 """The order in which a team solves the constraints of its environment, colour by colour.
 
 The lanes share the constraints of a colour, which have no dynamic body in common, and synchronize before the next
-colour. Visits of colours are numbered (turns), so that a constraint is skipped if neither of its bodies has changed
+colour. Visits of colours are numbered (stamps), so that a constraint is skipped if neither of its bodies has changed
 since it was last solved.
 """
 
@@ -63,7 +63,7 @@ def end_of_entries(env: int, order: Order):
 
 @wp.func
 def forget_visits(first: int, last: int, team: Team, order: Order, graph: Graph):
-    """Reset the turns: mark all bodies from `first` to `last` - 1 as changed, and all constraints as not visited."""
+    """Reset the stamps: mark all bodies from `first` to `last` - 1 as changed, and all constraints as not visited."""
     for b in range(first + team.lane, last, team.lanes):
         graph.changed[b] = 1
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
@@ -77,13 +77,13 @@ def is_done(entry: OrderRecord, graph: Graph):
 
 
 @wp.func
-def solved_turn(color: int, turn: int):
-    """Turn to record for a constraint solved now; a serial one counts as older, as later ones may share its bodies."""
-    return wp.where(color == Color.SERIAL, turn - 1, turn)
+def solved_stamp(color: int, stamp: int):
+    """Stamp to record for a constraint solved now; a serial one counts as older, as later ones may share its bodies."""
+    return wp.where(color == Color.SERIAL, stamp - 1, stamp)
 
 
 @wp.func
-def note_change(b: int, turn: int, motions: Motions, graph: Graph):
-    """Record the turn in which a dynamic body's velocity changed."""
+def note_change(b: int, stamp: int, motions: Motions, graph: Graph):
+    """Record the stamp in which a dynamic body's velocity changed."""
     if inverse_mass_of(b, motions) > 0.0:
-        graph.changed[b] = turn
+        graph.changed[b] = stamp

@@ -41,7 +41,7 @@ from warp_rigid.kernels.solve.schedule import (
     forget_visits,
     is_done,
     note_change,
-    solved_turn,
+    solved_stamp,
     stride_of_color,
 )
 from warp_rigid.kernels.tuning import CONVERGED, PAIR_ITERATIONS, SHARED_ITERATIONS, SHOCK_SWEEPS
@@ -118,7 +118,7 @@ def iterations_of(entry: OrderRecord, graph: Graph):
 
 @wp.func
 def visit_frozen(
-    k: int, turn: int, solved: int, down: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+    k: int, stamp: int, solved: int, down: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """Solve a constraint with its lower body frozen, if one is lower. Returns 1 if a velocity changed."""
     entry = entry_at(k, order)
@@ -146,11 +146,11 @@ def visit_frozen(
         add_load(entry.body_a, pair, motions)
     if entry.upper_b == 0:
         add_load(entry.body_b, pair, motions)
-    order.entries[k].visited = wp.where(pair.change > tolerance, turn - 1, solved)
+    order.entries[k].visited = wp.where(pair.change > tolerance, stamp - 1, solved)
     if changed == 1 and entry.upper_a + down > 0:
-        note_change(entry.body_a, turn, motions, graph)
+        note_change(entry.body_a, stamp, motions, graph)
     if changed == 1 and entry.upper_b + down > 0:
-        note_change(entry.body_b, turn, motions, graph)
+        note_change(entry.body_b, stamp, motions, graph)
     return changed
 
 
@@ -171,17 +171,17 @@ def solve_levels(
     remains = int(1)
     if mode == ShockMode.TWO_PASS:
         remains = skip_other_islands(team, order, graph, motions)
-    turn = int(1)
+    stamp = int(1)
     sweeps = int(0)
     left = any_of_team(remains, team) * (SHOCK_SWEEPS + graph.sweeps_per_level[team.env] * graph.max_depth[team.env])
     while left > 0:
         changed = int(0)
         sweeps += 1
         for color in range(order.color_count[team.env]):
-            turn += 1
+            stamp += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
-                changed |= visit_frozen(k, turn, solved_turn(color, turn), down, order, graph, motions, contacts)
+                changed |= visit_frozen(k, stamp, solved_stamp(color, stamp), down, order, graph, motions, contacts)
             sync_team(team)
         left = any_of_team(changed, team) * (left - 1)
     if team.lane == 0:

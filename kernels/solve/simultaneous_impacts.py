@@ -123,7 +123,7 @@ def sum_impact_energy(
 
 @wp.func
 def close_group(
-    turn: int, begin: int, end: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+    stamp: int, begin: int, end: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """Scale the impulses of islands whose energy has increased, and note the impacts and the bodies that changed."""
     for b in range(begin + team.lane, end, team.lanes):
@@ -134,14 +134,14 @@ def close_group(
         entry = entry_at(k, order)
         if entry.visited == Visited.BOUNCING + 1:
             note_impact(entry.begin, entry.end, accepted_share(island_of(entry, motions, graph), graph), contacts)
-            note_change(entry.body_a, turn, motions, graph)
-            note_change(entry.body_b, turn, motions, graph)
+            note_change(entry.body_a, stamp, motions, graph)
+            note_change(entry.body_b, stamp, motions, graph)
     sync_team(team)
 
 
 @wp.func
 def bounce_together(
-    turn: int,
+    stamp: int,
     dt: float,
     first: int,
     begin: int,
@@ -161,5 +161,5 @@ def bounce_together(
         change = sweep_group(left == int(GROUP_SWEEPS), unit, team, order, motions, contacts)
         left = any_of_team(wp.where(change > CONVERGED * unit, 1, 0), team) * (left - 1)
     sum_impact_energy(dt, first, begin, end, team, order, graph, motions, contacts)
-    close_group(turn, begin, end, team, order, graph, motions, contacts)
+    close_group(stamp, begin, end, team, order, graph, motions, contacts)
     return 1

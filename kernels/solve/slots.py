@@ -57,11 +57,11 @@ def clear_slots(entry: RoundRecord, slots: Slots):
 
 
 @wp.func
-def keep_changes(k: int, entry: RoundRecord, turn: int, lane: int, lanes: int, rounds: Rounds, slots: Slots):
+def keep_changes(k: int, entry: RoundRecord, round: int, lane: int, lanes: int, rounds: Rounds, slots: Slots):
     """A pair that is not solved in a round: copy its velocity changes to the buffer of the round, if it has others."""
-    if rounds.visited[k] == turn - 1:
+    if rounds.visited[k] == round - 1:
         for part in range(lane, 4, lanes):
             slot = wp.where(part < 2, entry.slot_a, entry.slot_b)
             if slot >= 0:
-                change = change_of(slot, slot + 1, part % 2, (turn - 1) % 2, slots)
-                store_change(slot, part % 2, turn % 2, change, 0.0, slots)
+                change = change_of(slot, slot + 1, part % 2, (round - 1) % 2, slots)
+                store_change(slot, part % 2, round % 2, change, 0.0, slots)

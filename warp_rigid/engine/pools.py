@@ -65,7 +65,7 @@ class Pools:
         constraints: all constraints of the step.
         graph: contact graph.
         order: constraints that are solved in sweeps, by colour.
-        visits: those of mechanisms that are solved where the joints hold, turn by turn.
+        visits: those of mechanisms that are solved where the joints hold, colour by colour.
         rounds: pairs of heaps, which are solved in rounds.
         selected: pairs of heaps with an impact, then those with an overlap.
         slots: velocity changes of the bodies of heaps by each of their pairs.

@@ -1,9 +1,9 @@
-"""Turns: the order in which the pairs of mechanisms are visited.
+"""Colours of visits: the order in which the pairs of mechanisms are visited.
 
-Pairs of the same turn have no body and no mechanism in common, so the parts of a team share them, and the result does
-not depend on their order. The turns are a colouring: a mechanism counts as a single body, the first of its members.
-They are assigned in parallel rounds, as the colours of constraints (coloring.py), and each pair takes the first turn
-that is free at both of its bodies. There are then hardly more turns than the pairs of the mechanism that has most.
+Pairs of the same colour have no body and no mechanism in common, so the parts of a team share them, and the result does
+not depend on their order. A mechanism counts as a single body, the first of its members. Colours are assigned as those
+of constraints (coloring.py), and each pair takes the first colour that is free at both of its bodies. There are then
+hardly more colours than the pairs of the mechanism that has most.
 The priority of a pair is its place among the pairs, since sweeps that visit the pairs of a mechanism in an arbitrary
 order converge more slowly, and a ragdoll that folds up gains more energy.
 """
@@ -13,20 +13,20 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import inverse_mass_of
 from warp_rigid.kernels.common.team import Team, any_of_team, lowest_bit, part_of_team, sync_team
 from warp_rigid.kernels.graph.coloring import NO_BID
-from warp_rigid.kernels.joints.arrays import TURN_WORDS, Joints, VisitOrder
+from warp_rigid.kernels.joints.arrays import COLOR_WORDS, Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import is_visited, solved_mechanism, visit_pair
 from warp_rigid.kernels.schema import Contacts, Graph, Motions, Order
 from warp_rigid.kernels.solve.schedule import Visited, end_of_entries, entry_at, first_entry
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-MARKED_TURNS = 32 * TURN_WORDS
-"""Number of turns that are marked at each body. A pair that finds none of them free comes after the last turns."""
+MARKED_COLORS = 32 * COLOR_WORDS
+"""Number of colours that are marked at each body. A pair that finds none of them free comes after the last colours."""
 
 
 @wp.func
 def occupied(b: int, motions: Motions, joints: Joints):
-    """Body that no other pair of a turn touches: the first of a mechanism, or itself; -1 if it never moves."""
+    """Body that no other pair of a colour touches: the first of a mechanism, or itself; -1 if it never moves."""
     m = solved_mechanism(b, joints)
     if m >= 0:
         return joints.member[joints.first_member[m]]
@@ -35,7 +35,7 @@ def occupied(b: int, motions: Motions, joints: Joints):
 
 @wp.func
 def bid_for(b: int, value: wp.int64, graph: Graph):
-    """Bid for a turn at a body."""
+    """Bid for a colour at a body."""
     if b >= 0:
         wp.atomic_max(graph.bid, b, value)
 
@@ -47,24 +47,24 @@ def is_won(b: int, value: wp.int64, graph: Graph):
 
 
 @wp.func
-def taken_turns(b: int, word: int, visits: VisitOrder):
-    """The marks of 32 turns of a body."""
+def taken_colors(b: int, word: int, visits: VisitOrder):
+    """The marks of 32 colours of a body."""
     if b < 0:
         return wp.uint32(0)
     return visits.taken[b, word]
 
 
 @wp.func
-def first_free_turn(a: int, b: int, graph: Graph, visits: VisitOrder):
-    """The first turn, from 0, in which no pair has touched two bodies. `changed` is the last turn of each."""
+def first_free_color(a: int, b: int, graph: Graph, visits: VisitOrder):
+    """The first colour, from 0, in which no pair has touched two bodies. `changed` is the last colour of each."""
     word = int(0)
     taken = ~wp.uint32(0)
-    while word < TURN_WORDS and taken == ~wp.uint32(0):
-        taken = taken_turns(a, word, visits) | taken_turns(b, word, visits)
+    while word < COLOR_WORDS and taken == ~wp.uint32(0):
+        taken = taken_colors(a, word, visits) | taken_colors(b, word, visits)
         word += 1
     if taken != ~wp.uint32(0):
         return 32 * (word - 1) + lowest_bit(~taken)
-    last = MARKED_TURNS - 1
+    last = MARKED_COLORS - 1
     if a >= 0:
         last = wp.max(last, graph.changed[a])
     if b >= 0:
@@ -73,21 +73,21 @@ def first_free_turn(a: int, b: int, graph: Graph, visits: VisitOrder):
 
 
 @wp.func
-def note_turn(b: int, turn: int, graph: Graph, visits: VisitOrder):
-    """Mark a turn as taken at a body."""
+def note_color(b: int, color: int, graph: Graph, visits: VisitOrder):
+    """Mark a colour as taken at a body."""
     if b >= 0:
-        graph.changed[b] = wp.max(graph.changed[b], turn)
-        if turn < MARKED_TURNS:
-            visits.taken[b, turn / 32] = visits.taken[b, turn / 32] | (wp.uint32(1) << wp.uint32(turn % 32))
+        graph.changed[b] = wp.max(graph.changed[b], color)
+        if color < MARKED_COLORS:
+            visits.taken[b, color / 32] = visits.taken[b, color / 32] | (wp.uint32(1) << wp.uint32(color % 32))
 
 
 @wp.func
-def start_turns(first: int, last: int, team: Team, order: Order, graph: Graph, joints: Joints, visits: VisitOrder):
-    """No turns yet."""
+def start_coloring(first: int, last: int, team: Team, order: Order, graph: Graph, joints: Joints, visits: VisitOrder):
+    """No colours yet."""
     for b in range(first + team.lane, last, team.lanes):
         graph.bid[b] = NO_BID
         graph.changed[b] = 0
-        for word in range(TURN_WORDS):
+        for word in range(COLOR_WORDS):
             visits.taken[b, word] = wp.uint32(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         order.entries[k].visited = wp.where(is_visited(entry_at(k, order), joints), Visited.WAITING, Visited.NONE)
@@ -105,7 +105,7 @@ def bid_or_take(
     joints: Joints,
     visits: VisitOrder,
 ):
-    """All waiting pairs bid for a turn, or those that won take theirs (`takes`). Returns 1 if a lane's pair waits."""
+    """All waiting pairs bid for a colour, or those that won take theirs (`takes`). Returns 1 if a lane's pair waits."""
     waits = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
@@ -117,10 +117,10 @@ def bid_or_take(
                 bid_for(a, value, graph)
                 bid_for(b, value, graph)
             elif is_won(a, value, graph) and is_won(b, value, graph):
-                turn = first_free_turn(a, b, graph, visits)
-                note_turn(a, turn, graph, visits)
-                note_turn(b, turn, graph, visits)
-                order.entries[k].visited = 1 + turn
+                color = first_free_color(a, b, graph, visits)
+                note_color(a, color, graph, visits)
+                note_color(b, color, graph, visits)
+                order.entries[k].visited = 1 + color
             else:
                 waits = 1
     sync_team(team)
@@ -128,8 +128,8 @@ def bid_or_take(
 
 
 @wp.func
-def list_turns(team: Team, order: Order, visits: VisitOrder):
-    """List the visited pairs turn by turn; the order within a turn is arbitrary."""
+def list_by_color(team: Team, order: Order, visits: VisitOrder):
+    """List the visited pairs colour by colour; the order within a colour is arbitrary."""
     begin = order.color_start[team.env, 0]
     end = end_of_entries(team.env, order)
     for k in range(begin + team.lane, end, team.lanes):
@@ -150,7 +150,7 @@ def list_turns(team: Team, order: Order, visits: VisitOrder):
 
 @wp.func
 def first_places(begin: int, end: int, visits: VisitOrder):
-    """One lane: replace the number of pairs of each turn by its first place. Returns the number of turns."""
+    """One lane: replace the number of pairs of each colour by its first place. Returns the number of colours."""
     place = int(begin)
     at = int(begin)
     while at < end:
@@ -164,7 +164,7 @@ def first_places(begin: int, end: int, visits: VisitOrder):
 
 
 @wp.func
-def choose_turns(
+def color_visits(
     first: int,
     last: int,
     first_row: int,
@@ -175,11 +175,11 @@ def choose_turns(
     joints: Joints,
     visits: VisitOrder,
 ):
-    """Assign turns to the pairs of mechanisms of an environment, and list the pairs turn by turn.
+    """Assign colours to the pairs of mechanisms of an environment, and list the pairs colour by colour.
 
     Its bodies are `first` to `last` - 1, and its rows begin with `first_row`. Pairs with lower rows come first.
     """
-    start_turns(first, last, team, order, graph, joints, visits)
+    start_coloring(first, last, team, order, graph, joints, visits)
     left = int(1)
     while left == 1:
         bid_or_take(0, first_row, team, order, graph, motions, joints, visits)
@@ -187,22 +187,22 @@ def choose_turns(
         for b in range(first + team.lane, last, team.lanes):
             graph.bid[b] = NO_BID
         left = any_of_team(waits, team)
-    list_turns(team, order, visits)
+    list_by_color(team, order, visits)
 
 
 @wp.func
-def begin_of_turn(env: int, turn: int, order: Order, visits: VisitOrder):
-    """Place of the first pair of a turn in `VisitOrder.entries`."""
+def begin_of_visits(env: int, color: int, order: Order, visits: VisitOrder):
+    """Place of the first pair of a colour in `VisitOrder.entries`."""
     begin = order.color_start[env, 0]
-    if turn == 0:
+    if color == 0:
         return begin
-    return visits.end[begin + turn - 1]
+    return visits.end[begin + color - 1]
 
 
 @wp.func
-def end_of_turn(env: int, turn: int, order: Order, visits: VisitOrder):
-    """One past the last pair of a turn."""
-    return visits.end[order.color_start[env, 0] + turn]
+def end_of_visits(env: int, color: int, order: Order, visits: VisitOrder):
+    """One past the last pair of a colour."""
+    return visits.end[order.color_start[env, 0] + color]
 
 
 @wp.func
@@ -215,15 +215,15 @@ def visited_pair(place: int, order: Order, visits: VisitOrder):
 def solve_touching(
     start: int, team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints, visits: VisitOrder
 ):
-    """Visit all contacts of mechanisms, turn by turn. Returns a lane's largest change [m/s].
+    """Visit all contacts of mechanisms, colour by colour. Returns a lane's largest change [m/s].
 
     `start`: 1 to apply the initial impulses.
     """
     change = float(0.0)
     part = part_of_team(team)
-    for turn in range(visits.count[team.env]):
-        first = begin_of_turn(team.env, turn, order, visits) + team.lane / part.lanes
-        for place in range(first, end_of_turn(team.env, turn, order, visits), team.lanes / part.lanes):
+    for color in range(visits.count[team.env]):
+        first = begin_of_visits(team.env, color, order, visits) + team.lane / part.lanes
+        for place in range(first, end_of_visits(team.env, color, order, visits), team.lanes / part.lanes):
             entry = visited_pair(place, order, visits)
             change = wp.max(change, visit_pair(start, entry, part, motions, contacts, joints))
         sync_team(team)

@@ -1,4 +1,4 @@
-"""Turns in which the contacts of mechanisms are solved: a colouring of the pairs."""
+"""Colours of the pairs of mechanisms."""
 
 from collections import Counter
 
@@ -21,11 +21,11 @@ def heap(device, dolls, steps=420):
 
 
 def turns_of(stages):
-    """The entries of the solving order in each turn."""
+    """The entries of the solving order of each colour."""
     order, visits = stages.pools.order, stages.pools.visits
     begin, ends = int(order.color_start.numpy()[0, 0]), visits.end.numpy()
-    turns = int(visits.count.numpy()[0])
-    bounds = [begin, *ends[begin : begin + turns]]
+    colors = int(visits.count.numpy()[0])
+    bounds = [begin, *ends[begin : begin + colors]]
     return [visits.entries.numpy()[low:high] for low, high in zip(bounds, bounds[1:], strict=False)]
 
 
@@ -80,7 +80,7 @@ def test_there_are_hardly_more_turns_than_the_busiest_mechanism_has_pairs(landed
 
 
 def test_more_pairs_than_marked_turns_follow_one_another(device):
-    """A plate that is a mechanism carries 400 balls: each has a turn of its own, and they rest on it."""
+    """A plate that is a mechanism carries 400 balls: each has a colour of its own, and they rest on it."""
     scene = wr.Scene(gravity=(0, 0, -9.81))
     scene.add_static(wr.Plane(), friction=0.5)
     plate = scene.add_body(wr.Box((2.1, 2.1, 0.1)), position=(0, 0, 0.1), mass=100.0, friction=0.5)
@@ -99,7 +99,7 @@ def test_more_pairs_than_marked_turns_follow_one_another(device):
 
 @pytest.mark.long
 def test_a_heap_of_mechanisms_ends_with_the_same_bits_alone_and_in_a_batch(device):
-    """The turns, and the line searches, depend neither on the order of threads nor on the place in a batch."""
+    """The colors, and the line searches, depend neither on the order of threads nor on the place in a batch."""
     scene = scenes.load("ragdolls", dolls=6)
     ends = []
     for count in (1, 1, 3):
