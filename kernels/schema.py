@@ -178,16 +178,16 @@ Motions = layout(
     radius=Field(float, "bodies", "m", "radius of the bounding sphere about the centre of mass"),
     role=Field(int, "bodies", "", "role in this step: absent, static, asleep, kinematic or free"),
     max_travel=Field(float, "bodies", "m", "largest displacement covered by the broad phase; limits the motion"),
-    time_of_impact=Field(float, "bodies", "", "fraction of the step after the impacts of the previous round (ccd.py)"),
+    time_of_impact=Field(float, "bodies", "", "fraction of the step after the impacts of the last iteration (ccd.py)"),
     next_time_of_impact=Field(
-        float, "bodies", "", "after the current round; the body rotates freely for this fraction of the step"
+        float, "bodies", "", "after the this iteration; the body rotates freely for this fraction of the step"
     ),
-    course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the previous round"),
-    next_course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the current round"),
+    course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the last iteration"),
+    next_course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the this iteration"),
     shared_spin=Field(
-        wp.vec3, "bodies", "rad/s", "mean rotation with bodies that were hit, after the impacts of the previous round"
+        wp.vec3, "bodies", "rad/s", "mean rotation with bodies that were hit, after the impacts of the last iteration"
     ),
-    next_shared_spin=Field(wp.vec3, "bodies", "rad/s", "the same after the impacts of the current round"),
+    next_shared_spin=Field(wp.vec3, "bodies", "rad/s", "the same after the impacts of the this iteration"),
     onward=Field(wp.vec3, "bodies", "m/s", "mean velocity with which the body's mechanism would move on"),
     carried=Field(
         int,
@@ -195,12 +195,12 @@ Motions = layout(
         "",
         "not 0: moved by a kinematic body, or held by an immovable one, after an impact in this step; see `lead_of`",
     ),
-    next_carried=Field(int, "bodies", "", "the same after the impacts of the current round"),
+    next_carried=Field(int, "bodies", "", "the same after the impacts of the this iteration"),
     joined=Field(int, "bodies", "", "1: the body stops together with others of its mechanism"),
-    first_impact=Field(wp.int64, "bodies", "", "time and pair of the first impact of the current round (ccd.py)"),
-    course_change=Field(wp.vec3, "bodies", "m/s", "change of the mean velocity by the previous round"),
-    spin_change=Field(wp.vec3, "bodies", "rad/s", "change of the mean angular velocity by the previous round"),
-    changed=Field(int, "bodies", "", "1: the motion was changed by an impact of the previous round"),
+    first_impact=Field(wp.int64, "bodies", "", "time and pair of the first impact of the this iteration (ccd.py)"),
+    course_change=Field(wp.vec3, "bodies", "m/s", "change of the mean velocity by the last iteration"),
+    spin_change=Field(wp.vec3, "bodies", "rad/s", "change of the mean angular velocity by the last iteration"),
+    changed=Field(int, "bodies", "", "1: the motion was changed by an impact of the last iteration"),
     overlap=Field(float, "bodies", "m", "deepest of the deep overlaps, in a health check"),
 )
 
@@ -212,7 +212,7 @@ Environments = layout(
     friction_rule=Fixed(int, "envs", "", "a CombineRule, of the friction coefficients of a pair"),
     restitution_rule=Fixed(int, "envs", "", "a CombineRule, of the coefficients of restitution of a pair"),
     out_of_bounds=Fixed(int, "envs", "", "an OutOfBounds: what happens to a body that leaves the bounds"),
-    impact_rounds=Fixed(int, "envs", "", "rounds of continuous collision detection"),
+    ccd_iterations=Fixed(int, "envs", "", "iterations of continuous collision detection"),
     lower=Fixed(wp.vec3, "envs", "m", "lower corner of the bounds"),
     upper=Fixed(wp.vec3, "envs", "m", "upper corner of the bounds"),
     gravity=Setting(wp.vec3, "envs", "m/s^2", "uniform gravity"),

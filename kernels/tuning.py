@@ -347,11 +347,7 @@ LEFT_OF_DEPTH = wp.constant(0.25)
 deeper than allowed by at most their relative motion after the impact that was found, and by the changes of their
 relative motion since. A pair is traced again when the sum of these bounds exceeds this fraction, so that the overlap
 stays below 1 + LEFT_OF_DEPTH times the allowed depth. Bodies between two others are hit by both in turn, and each hit
-changes their motion by a part of the last one: without this bound, most rounds change next to nothing."""
-
-TURNS_OF_A_MECHANISM = wp.constant(2)
-"""Rounds for each mechanism of an environment: mechanisms that fall together stop one after the other, and each stop
-changes the motion of all bodies of a mechanism."""
+changes their motion by a part of the last one: without this bound, most iterations change next to nothing."""
 
 CARRIED = wp.constant(0.5)
 """A body that turns with its kinematic carrier at this fraction of its speed or more is carried around. Without this

@@ -64,7 +64,7 @@ def test_the_time_of_impact_is_that_of_float64(device, kind):
     stages.predict(DT)
     stages.find_pairs()
     stages.find_contacts()
-    stages.open_round(is_first=1)
+    stages.open_iteration(is_first=1)
     stages._trace_fast_pairs()
     first = stages.motions.first_impact.numpy().reshape(count, 2).min(axis=1)
     hit = first < int(NEVER)
@@ -151,7 +151,7 @@ def test_samples_are_traced_only_in_rounds_with_pairs_that_need_them(device, hei
     stages.predict(DT)
     stages.find_pairs()
     stages.find_contacts()
-    stages.open_round(is_first=1)
+    stages.open_iteration(is_first=1)
     suspects = stages.pools.suspects
     assert (suspects.again.numpy()[0], suspects.sampled.numpy()[0]) == (1, sampled)
     stages._trace_fast_pairs()

@@ -59,7 +59,7 @@ def test_rounds_end_when_motions_hardly_change(device):
     rounds, overlaps = [], []
     for _ in range(15):
         sim.step()
-        rounds.append(int(stages_of(sim).pools.suspects.round.numpy()[0]))
+        rounds.append(int(stages_of(sim).pools.suspects.iteration.numpy()[0]))
         overlaps.append(sim.penetration())
     assert np.mean(rounds) < 7
     assert np.mean(overlaps) < 0.022 * 2 * HALF

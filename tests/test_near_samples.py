@@ -53,7 +53,7 @@ def test_the_list_of_traced_samples_grows(device, monkeypatch):
         for sim in (roomy, tight):
             sim.step()
         stages = stages_of(roomy)
-        stages.open_round(is_first=1)
+        stages.open_iteration(is_first=1)
         stages._trace_fast_pairs()
         traced = max(traced, int(stages.pools.suspects.count.numpy()[0]))
         assert tight.get("position").tobytes() == roomy.get("position").tobytes()

@@ -333,7 +333,7 @@ def test_the_number_of_lanes_does_not_matter(device, name, monkeypatch):
     for trace, look in ((32, 8), (32, 8), (8, 32), (16, 1)):
         monkeypatch.setattr(teams, "TRACE_LANES", trace)
         monkeypatch.setattr(teams, "LOOK_LANES", look)
-        stages.open_round(is_first=1)
+        stages.open_iteration(is_first=1)
         stages._trace_fast_pairs()
         found.append((stages.motions.first_impact.numpy(), stages.motions.next_time_of_impact.numpy()))
     assert (found[0][0] < int(ccd.NEVER)).any()

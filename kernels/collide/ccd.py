@@ -95,8 +95,8 @@ def limit_travel(b: int, dt: float, motions: Motions):
 
 
 @wp.kernel
-def open_round(is_first: int, dt: float, pairs: Pairs, motions: Motions, suspects: Suspects):
-    """One thread per body: a round starts from the result of the last one, with empty lists."""
+def open_iteration(is_first: int, dt: float, pairs: Pairs, motions: Motions, suspects: Suspects):
+    """One thread per body: an iteration starts from the result of the last one, with empty lists."""
     b = wp.tid()
     if is_first == 1:
         limit_travel(b, dt, motions)
@@ -110,7 +110,7 @@ def open_round(is_first: int, dt: float, pairs: Pairs, motions: Motions, suspect
     motions.carried[b] = motions.next_carried[b]
     motions.first_impact[b] = NEVER
     if b == 0:
-        suspects.round[0] = wp.where(is_first == 1, 0, suspects.round[0] + 1)
+        suspects.iteration[0] = wp.where(is_first == 1, 0, suspects.iteration[0] + 1)
         suspects.again[0] = 0
         suspects.sampled[0] = 0
         pairs.fast_count[0] = 0
@@ -136,7 +136,7 @@ def was_hit(a: int, b: int, first: Course, second: Course, size: float, dt: floa
 
 @wp.func
 def latest_change(b: int, course: Course, motions: Motions):
-    """The change of a body's motion by the previous round, as a motion."""
+    """The change of a body's motion by the previous iteration, as a motion."""
     change = course
     change.linear = motions.course_change[b]
     change.angular = motions.spin_change[b]
@@ -150,17 +150,17 @@ def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
 
 
 @wp.func
-def is_followed(a: int, b: int, round_number: int, rounds: int, motions: Motions):
-    """Whether a pair is traced in a round.
+def is_followed(a: int, b: int, iteration: int, iterations: int, motions: Motions):
+    """Whether a pair is traced in an iteration.
 
-    In the late rounds, those after `rounds`, immovable bodies hold what they stop. Impacts of bodies that nothing holds
-    are not followed any more. There are as many late rounds; the one after them traces pairs with immovable bodies
-    only, so that the last impacts take nothing through a wall.
+    In the late iterations, those after `iterations`, immovable bodies hold what they stop. Impacts of bodies that
+    nothing holds are not followed any more. There are as many late iterations; the one after them traces pairs with
+    immovable bodies only, so that the last impacts take nothing through a wall.
     """
-    if round_number < rounds:
+    if iteration < iterations:
         return True
     movable = motions.role[a] == Role.FREE and motions.role[b] == Role.FREE
-    return lead_of(a, motions) != lead_of(b, motions) and round_number < 2 * rounds + wp.where(movable, 0, 1)
+    return lead_of(a, motions) != lead_of(b, motions) and iteration < 2 * iterations + wp.where(movable, 0, 1)
 
 
 @wp.kernel
@@ -177,27 +177,27 @@ def list_fast_pairs(
 ):
     """The threads share the pairs: list those that must be traced, in any order.
 
-    A body that is hit moves otherwise, so a further round traces the pairs whose relative motion has changed.
+    A body that is hit moves otherwise, so a further iteration traces the pairs whose relative motion has changed.
     """
-    round_number = suspects.round[0]
+    iteration = suspects.iteration[0]
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if round_number == 0 or motions.changed[a] == 1 or motions.changed[b] == 1:
+        if iteration == 0 or motions.changed[a] == 1 or motions.changed[b] == 1:
             size = traced_size(a, b, shapes, bodies)
             first = course_of(a, shapes, bodies, state, motions)
             second = course_of(b, shapes, bodies, state, motions)
             change = relative_motion(latest_change(a, first, motions), latest_change(b, second, motions), dt)
             suspects.untraced[pair] += change
-            if not is_followed(a, b, round_number, envs.impact_rounds[bodies.env[a]], motions):
+            if not is_followed(a, b, iteration, envs.ccd_iterations[bodies.env[a]], motions):
                 continue
-            if round_number > 0 and suspects.untraced[pair] <= LEFT_OF_DEPTH * ALLOWED_DEPTH * size:
+            if iteration > 0 and suspects.untraced[pair] <= LEFT_OF_DEPTH * ALLOWED_DEPTH * size:
                 continue
             suspects.untraced[pair] = 0.0
             way = relative_motion(first, second, dt)
             if way < ALLOWED_DEPTH * size or not may_touch(shapes, first, second, dt):
                 continue
-            if round_number == 0 and way <= FAST_TRAVEL * size and not was_hit(a, b, first, second, size, dt, state):
+            if iteration == 0 and way <= FAST_TRAVEL * size and not was_hit(a, b, first, second, size, dt, state):
                 continue
             if not stays_clear(first, second, pairs.axis[pair], dt, size, shapes):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
@@ -237,14 +237,14 @@ def note_impact(
 ):
     """Note an impact of a pair for those of its bodies whose motion it changes, if it is the first one of the body.
 
-    After the first round, an impact after which the bodies hardly get deeper is ignored.
+    After the first iteration, an impact after which the bodies hardly get deeper is ignored.
     """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     first, second = courses_of(pair, 0, shapes, bodies, state, motions, pairs)
     left = relative_motion(first, second, dt - t)
     wp.atomic_max(suspects.untraced, pair, left)
-    if suspects.round[0] > 0 and left <= LEFT_OF_DEPTH * ALLOWED_DEPTH * traced_size(a, b, shapes, bodies):
+    if suspects.iteration[0] > 0 and left <= LEFT_OF_DEPTH * ALLOWED_DEPTH * traced_size(a, b, shapes, bodies):
         return
     impact = wp.int64(t / dt * UNITS_OF_TIME) * PAIR_NUMBERS + wp.int64(pair)
     first = onward_course(a, shapes, bodies, state, motions)
@@ -463,12 +463,12 @@ def change_courses(
 ):
     """One thread per body: from its first impact on, it moves with the other body.
 
-    Unless a kinematic body drives it, it stays within the reach of the broad phase. From the late rounds on, an
+    Unless a kinematic body drives it, it stays within the reach of the broad phase. From the late iterations on, an
     immovable body leads: a body that it stopped keeps its motion, and others take that over. If instead each body that
-    is hit in the last round stopped, the walls of a falling container would stop, and its content would pass them.
+    is hit in the last iteration stopped, the walls of a falling container would stop, and its content would pass them.
     """
     b = wp.tid()
-    if motions.role[b] != Role.FREE and suspects.round[0] + 1 >= envs.impact_rounds[bodies.env[b]]:
+    if motions.role[b] != Role.FREE and suspects.iteration[0] + 1 >= envs.ccd_iterations[bodies.env[b]]:
         motions.next_carried[b] = Lead.HOLDER
     impact = motions.first_impact[b]
     motions.changed[b] = wp.where(impact == NEVER, 0, 1)

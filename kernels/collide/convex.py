@@ -280,9 +280,9 @@ def leave(solids: Solids, shapes: Shapes, start: wp.vec3, ray: wp.vec3, reach: f
     portal = Portal()
     portal.stage = PortalStage.RAY
     portal.normal = ray
-    rounds = int(0)
+    iterations = int(0)
     # At most 40 points.
-    while portal.stage != PortalStage.FOUND and rounds < 40:
+    while portal.stage != PortalStage.FOUND and iterations < 40:
         n = unit_or(portal.normal, ray)
         portal.normal = n
         corner = difference(solids, shapes, n)
@@ -290,7 +290,7 @@ def leave(solids: Solids, shapes: Shapes, start: wp.vec3, ray: wp.vec3, reach: f
             return portal
         corner.point -= start
         portal = next_corner(portal, corner, ray, FLAT_ENOUGH * solids.size)
-        rounds += 1
+        iterations += 1
     portal.normal = unit_or(portal.normal, ray)
     return portal
 

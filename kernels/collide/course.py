@@ -30,7 +30,7 @@ class Lead(IntEnum):
     KINEMATIC = 2**20
     """A kinematic body."""
     HOLDER = 2**19
-    """An immovable body in the late rounds of impacts."""
+    """An immovable body in the late iterations."""
 
 
 @wp.struct
@@ -87,7 +87,7 @@ def placed_course(b: int, bodies: Bodies, state: State, motions: Motions):
 
 @wp.func
 def course_of(b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """The mean motion of a body in the step, after the impacts of the previous rounds.
+    """The mean motion of a body in the step, after the impacts of the previous iterations.
 
     A kinematic body that spins about its axis of symmetry does not turn, as its surface stays in place.
     """

@@ -174,7 +174,7 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
 
 @wp.func
 def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: float):
-    """One more round of the search between the ends of an edge segment, or its end."""
+    """One more iteration of the search between the ends of an edge segment, or its end."""
     search.distance = d[3]
     search.direction = gradient(d)
     if search.stage == EdgeStage.CLAMPED:
@@ -204,7 +204,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
 
     This is the inner minimum of the distance or, for an edge that lies flat, the point where it leaves the face. In
     both cases the slope along the edge is discontinuous there. The tangents at both ends meet below the curve; the
-    point below which they meet replaces the end on its side. This is exact after one round if two straight edges
+    point below which they meet replaces the end on its side. This is exact after one iteration if two straight edges
     cross, where the distance is V-shaped. Neighbouring segments overlap slightly, so that there are no gaps between
     them.
     """

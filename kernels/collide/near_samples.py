@@ -36,10 +36,10 @@ NearSamples = layout(
 
 Suspects = layout(
     "Suspects",
-    "Samples that continuous collision detection traces in a round, in any order.",
-    round=Field(int, "1", "", "number of the round, from 0"),
-    again=Field(int, "1", "", "1: another round follows"),
-    sampled=Field(int, "1", "", "1: samples are traced in this round, of pairs that are not both convex solids"),
+    "Samples that continuous collision detection traces in an iteration, in any order.",
+    iteration=Field(int, "1", "", "number of the iteration, from 0"),
+    again=Field(int, "1", "", "1: another iteration follows"),
+    sampled=Field(int, "1", "", "1: samples are traced in this iteration, of pairs that are not both convex solids"),
     count=Field(int, "1", "", "number of samples, also of those that do not fit"),
     pair=Field(int, "near_samples", "", "the sample's pair"),
     side=Field(int, "near_samples", "", "0: sample of the pair's first body, 1: of the second one"),

@@ -148,7 +148,7 @@ def stays_outside(
     rise = float(0.0)
     t = wp.where(low < -allowed, 0.0, right)
     # Enough for curved surfaces.
-    for _round in range(6):
+    for _ in range(6):
         x = place_at(own, other, way.arm, wp.min(t, 1.0) * dt) + wp.max(t - 1.0, 0.0) * way.step
         d = signed_distance(shapes, other.shape, x, near)
         gap = d[3] - way.radius

@@ -2,9 +2,9 @@
 
 A trace is conservative advancement: the distance of the other body bounds how far the point can move without reaching
 it. For a convex distance, the safe step is bounded by the tangent of the distance and the curvature of the motion. A
-few rounds are enough, and motion along a surface is not limited. For other distances it is bounded by the speed alone.
-Edges are traced as whole segments, at their deepest point, because no sample point need be close to where two edges
-cross.
+few iterations are enough, and motion along a surface is not limited. For other distances it is bounded by the speed
+alone. Edges are traced as whole segments, at their deepest point, because no sample point need be close to where two
+edges cross.
 
 A team of lanes tests the samples of the clusters that reach the other body. Most of them stay clear at the first
 test. The others are listed, for all pairs together, and one thread traces each of them: traces take most of
@@ -28,8 +28,8 @@ from warp_rigid.kernels.tuning import ALLOWED_DEPTH, CLOSE_ENOUGH, FAST_TRAVEL
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
-TRACE_ROUNDS = wp.constant(64)
-"""Maximum rounds of a trace; a trace that needs more counts as touching at the point reached."""
+TRACE_ITERATIONS = wp.constant(64)
+"""Maximum iterations of a trace; a trace that needs more counts as touching at the point reached."""
 
 CLEAR = wp.constant(-2)
 """Index in place of a sample that need not be traced."""
@@ -95,7 +95,7 @@ def trace(
     """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`.
 
     With a `slack` other than zero, which is that of a bounding sphere, the distance to a mesh is that of its grid, and
-    may be that much too large; few rounds are enough.
+    may be that much too large; few iterations are enough.
     """
     other_spin = wp.length(other.angular)
     away = wp.length(own.center + arm - other.center)
@@ -103,9 +103,9 @@ def trace(
     curve = wp.length_sq(own.angular) * wp.length(arm) + other_spin * (2.0 * speed + other_spin * away)
     near = wp.where(slack > 0.0, -FAR, radius + shapes.shapes[other.shape].cell)
     t = float(begin)
-    # In a pile of bunnies, 99 of 100 bounding spheres need fewer rounds. The others move along a surface, and count as
+    # In a pile of bunnies, 99 of 100 bounding spheres need fewer. The others move along a surface, and count as
     # touching at the point reached, so that their samples are tested from there on.
-    for _round in range(wp.where(slack > 0.0, 8, TRACE_ROUNDS)):
+    for _ in range(wp.where(slack > 0.0, 8, TRACE_ITERATIONS)):
         x = place_at(own, other, arm, t)
         d = signed_distance(shapes, other.shape, x, near)
         left = d[3] - slack - radius + allowed
@@ -139,8 +139,8 @@ def level_tangent(low: wp.vec4, left: float, high: wp.vec4, right: float, slide:
 def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
     """Deepest point of a segment, middle +- slide, in a convex shape: its distance, and a tangent there.
 
-    Each round replaces one end of the interval by the intersection of the tangents at both ends, as in samples.py. The
-    tangent bounds the distance from below at parameters from -1 to 1: where edges cross, it is one without slope.
+    Each iteration replaces one end of the interval by the intersection of the tangents at both ends. The tangent
+    the distance from below at parameters from -1 to 1: where edges cross, it is one without slope.
     """
     low = wp.vec4(0.0, 0.0, 0.0, 0.0)
     high = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -150,17 +150,17 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
     deepest = wp.vec4(0.0, 0.0, 1.0, FAR)
     crossed = int(1)
     t = float(left)
-    rounds = int(0)
-    while rounds < 6:
+    iterations = int(0)
+    while iterations < 6:
         d = signed_distance(shapes, shape, middle + t * slide, -FAR)
         if d[3] < deepest[3]:
             place = t
             deepest = d
-        if rounds == 0:
+        if iterations == 0:
             low = d
             t = right
         else:
-            if rounds == 1 or slope(d, slide) >= 0.0:
+            if iterations == 1 or slope(d, slide) >= 0.0:
                 right = t
                 high = d
             else:
@@ -169,11 +169,11 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
             fall = slope(low, slide)
             rise = slope(high, slide)
             if fall >= 0.0 or rise <= 0.0:
-                rounds = 6
+                iterations = 6
                 crossed = 0
             t = (low[3] - high[3] + rise * right - fall * left) / wp.max(rise - fall, 1.0e-12)
             t = wp.clamp(t, left, right)
-        rounds += 1
+        iterations += 1
     tangent = deepest
     tangent[3] -= wp.max((place - 1.0) * slope(deepest, slide), (place + 1.0) * slope(deepest, slide))
     if crossed == 1:
@@ -207,12 +207,12 @@ def trace_edge(
     curve = wp.length_sq(own.angular) * reach + other_spin * (2.0 * speed + other_spin * away)
     allowed = ALLOWED_DEPTH * size
     t = float(0.0)
-    for round in range(TRACE_ROUNDS):
+    for iteration in range(TRACE_ITERATIONS):
         low = place_at(own, other, arm - slide, t)
         high = place_at(own, other, arm + slide, t)
         half = 0.5 * (high - low)
         depth, tangent = deepest_place(shapes, other.shape, low + half, half)
-        if round == 0:
+        if iteration == 0:
             # The gap at the start of the step decides how deep the segment may penetrate.
             if depth - radius < near:
                 allowed = near - wp.min(depth - radius, 0.0)

@@ -3,7 +3,7 @@
 No two constraints of a colour share a dynamic body. The constraints of a colour can therefore be solved in parallel,
 and the result does not depend on their order. All sweeps process the constraints colour by colour.
 
-Colours are assigned in parallel rounds (Jones and Plassmann 1993): in each round, a constraint that has the highest
+Colours are assigned in parallel iterations (Jones and Plassmann 1993): in each, a constraint that has the highest
 priority at both its bodies takes the lowest colour that is free at both. Constraints with more rows come first, since a
 colour takes as long as its longest constraint: it is best if the long ones share colours. Among those with as many
 rows, the priority is a hashed index, so that chains of neighbouring constraints are not coloured one by one.

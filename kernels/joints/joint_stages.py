@@ -416,7 +416,7 @@ def settle_joints(
 
 @wp.kernel
 def join_courses(lanes: int, bodies: Bodies, motions: Motions, joints: Joints):
-    """One team per mechanism, before a round of impacts: its bodies rotate for the same time, and would move on alike.
+    """One team per mechanism, before an iteration of ccd.py: its bodies rotate for the same time, and move on alike.
 
     The course of a body that moved in parts is its mean velocity.
 
@@ -468,7 +468,7 @@ def share_impacts(
     motions: Motions,
     joints: Joints,
 ):
-    """One team per mechanism, after a round: at its first impact, its joints stop, and it moves on as a whole.
+    """One team per mechanism, after an iteration: at its first impact, its joints stop, and it moves on as a whole.
 
     The motion after the impact of the body that is hit is that of all its bodies, without rotation.
     """
@@ -498,7 +498,7 @@ def share_impacts(
 
 @wp.kernel
 def close_stopped(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One team per mechanism, after the last round: where its joints stopped, they hold."""
+    """One team per mechanism, after the last iteration: where its joints stopped, they hold."""
     team = team_of(wp.tid(), lanes)
     m = team.env
     if joints.activity[m] == Activity.STILL:

@@ -247,18 +247,18 @@ class JointStages:
             self._settle(after_push=1)
 
     def join_courses(self) -> None:
-        """Before a round of impacts: the bodies of a mechanism move on alike after one."""
+        """Before an iteration of continuous collision detection: the bodies of a mechanism move on alike after one."""
         if self.present:
             self._per_mechanism(self.kernels.join_courses, [], [self.bodies], [self.motions, self.arrays])
 
     def share_impacts(self) -> None:
-        """After a round: the impact of a body is that of its mechanism."""
+        """After an iteration: the impact of a body is that of its mechanism."""
         if self.present:
             inputs = [self._step.model.shapes, self.bodies, self.state, self.pools.pairs]
             self._per_mechanism(self.kernels.share_impacts, [self.dt], inputs, [self.motions, self.arrays])
 
     def close_stopped(self) -> None:
-        """After the last round: close the joints that stopped."""
+        """After the last iteration: close the joints that stopped."""
         if self.present:
             outputs = [self.motions, self.arrays]
             self._per_mechanism(self.kernels.close_stopped, [self.dt], [self.bodies, self.state], outputs)

@@ -10,7 +10,7 @@ from warp_rigid.engine.layout import Layout, concatenated, exclusive_sums
 from warp_rigid.engine.moving_ground import build_surfaces
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
-from warp_rigid.kernels import declare, schema, tuning
+from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.body_columns import column, is_dynamic, shapes_of
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -22,11 +22,11 @@ OVERSIZED = 4.0
 """A dynamic body more than this many times larger than the median is not of ordinary size."""
 
 
-FEWEST_ROUNDS, MOST_ROUNDS = 16, 32
-"""Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain, so there are as many
-rounds as bodies. A body in a hollow one, which lands, is hit several times. The rounds end when no body is hit: a heap
-of 4096 boxes that lands takes 9 on average, and sometimes more than the maximum. With 8 at most, its boxes overlap by
-48 mm instead of 20 mm, of 200 mm."""
+FEWEST_ITERATIONS, MOST_ITERATIONS = 16, 32
+"""Iterations of continuous collision detection. In each, the impacts of the previous one reach the next body of a
+chain, so there are as many as bodies. A body in a hollow one, which lands, is hit several times. They end when no body
+is hit: a heap of 4096 boxes that lands takes 9 on average, and sometimes more than the maximum. With 8 at most, its
+boxes overlap by 48 mm instead of 20 mm, of 200 mm."""
 
 
 class SizeGroups(NamedTuple):
@@ -154,7 +154,7 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
         "friction_rule": [COMBINE_RULES.index(scene.friction_combine) for scene in layout.scenes],
         "restitution_rule": [COMBINE_RULES.index(scene.restitution_combine) for scene in layout.scenes],
         "out_of_bounds": [_out_of_bounds(scene) for scene in layout.scenes],
-        "impact_rounds": [impact_rounds(scene) for scene in layout.scenes],
+        "ccd_iterations": [ccd_iterations(scene) for scene in layout.scenes],
         "lower": np.array([lower for lower, _ in bounds], np.float32),
         "upper": np.array([upper for _, upper in bounds], np.float32),
     }
@@ -166,11 +166,12 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
     return envs
 
 
-def impact_rounds(scene: Scene) -> int:
-    """Rounds of continuous collision detection in an environment."""
+def ccd_iterations(scene: Scene) -> int:
+    """Iterations of continuous collision detection in an environment."""
     mechanisms = joints.mechanisms_of(scene).members
     alone = int(is_dynamic(scene.bodies).sum()) - sum(map(len, mechanisms))
-    return min(max(alone + tuning.TURNS_OF_A_MECHANISM * len(mechanisms), FEWEST_ROUNDS), MOST_ROUNDS)
+    # Mechanisms that fall together stop one after the other, and each stop changes the motion of all bodies of one.
+    return min(max(alone + 2 * len(mechanisms), FEWEST_ITERATIONS), MOST_ITERATIONS)
 
 
 def _out_of_bounds(scene: Scene) -> OutOfBounds:

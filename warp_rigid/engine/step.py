@@ -280,7 +280,7 @@ class Stages:
     @stage
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
-        self.open_round(is_first=1)
+        self.open_iteration(is_first=1)
         wp.capture_while(self.pools.suspects.again, self._find_impacts)
         self.joints.close_stopped()
 
@@ -413,17 +413,17 @@ class Stages:
         self.launch(capacity.note_wanted, rows, [which, start, wanted_row], [wanted])
         self.launch(capacity.empty_if_over, rows, [which, size, wanted_row, wanted], [start])
 
-    def open_round(self, is_first: int) -> None:
-        """List the pairs of a round: fast ones in the first round, then those of bodies that were hit."""
+    def open_iteration(self, is_first: int) -> None:
+        """List the pairs of an iteration: fast ones in the first one, then those of bodies that were hit."""
         pairs, suspects = self.pools.pairs, self.pools.suspects
-        self.per_body(ccd.open_round, [is_first, self.dt, pairs], [self.motions, suspects])
+        self.per_body(ccd.open_iteration, [is_first, self.dt, pairs], [self.motions, suspects])
         self.joints.join_courses()
         self.share(ccd.list_fast_pairs, self.pools.sizes["pairs"], [*self.moving, self.envs], [suspects, pairs])
 
     def _find_impacts(self) -> None:
-        """A round of continuous collision detection, in which there are fast pairs, and the list of the next one."""
+        """An iteration of continuous collision detection, and the list of fast pairs of the next one."""
         self._trace_fast_pairs()
-        self.open_round(is_first=0)
+        self.open_iteration(is_first=0)
 
     def _trace_fast_pairs(self) -> None:
         """The times of impact of the listed pairs, and the motion of bodies after their first impact."""
