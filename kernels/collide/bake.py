@@ -2,9 +2,9 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from warp_rigid.kernels.collide.triangle_distance import FAR
 
-EVERYWHERE = wp.constant(1.0e18)  # its square is still a float32
+wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
@@ -89,7 +89,7 @@ def distance_columns(
     column = first + wp.tid()
     i = column // values.shape[1]
     j = column - i * values.shape[1]
-    reach = float(EVERYWHERE)
+    reach = float(FAR)
     for k in range(values.shape[2]):
         point = origin + spacing * wp.vec3(float(i), float(j), float(k))
         found = signed_arm(tables, point, reach)
@@ -107,4 +107,4 @@ def distance_points(
 ):
     """One thread per point, from point `first` on; see `signed_arm`."""
     point = first + wp.tid()
-    arms[point] = signed_arm(tables, points[point], EVERYWHERE)
+    arms[point] = signed_arm(tables, points[point], FAR)

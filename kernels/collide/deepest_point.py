@@ -12,25 +12,13 @@ increases a distance. Its derivative is symmetric, so that the slope on the box 
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import (
-    FAR,
-    FARTHER,
-    GRID_ERROR,
-    INNER,
-    LIKELY_ERROR,
-    analytic_distance,
-    grid_distance,
-)
+from warp_rigid.kernels.collide.distance import FAR, GRID_ERROR, analytic_distance, farthest_by_grid, grid_distance
 from warp_rigid.kernels.collide.height_distance import distance_to_heights
 from warp_rigid.kernels.collide.triangle_distance import foot_on_triangle, triangle_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
-
-FINE_GAIN = wp.constant(1.0e-3)
-FINEST_GAIN = wp.constant(2.0e-6)
-"""A gain below FINE_GAIN times the depth plus FINEST_GAIN times the smaller size ends the search."""
 
 
 @wp.struct
@@ -110,9 +98,9 @@ def true_mesh_distance(shapes: Shapes, part: int, p: wp.vec3, near: float):
     cell = shapes.parts[part].grid_spacing
     if bound >= near or shapes.parts[part].tree_start == shapes.parts[part].tree_end:
         return d
-    far = wp.where(d[3] > INNER * cell, FARTHER * d[3], wp.abs(d[3]))
+    far = farthest_by_grid(d[3], cell)
     nowhere = wp.vec3(0.0, 0.0, 0.0)
-    return triangle_distance(shapes, part, p, nowhere, far + LIKELY_ERROR * cell, far + GRID_ERROR * cell, d)
+    return triangle_distance(shapes, part, p, nowhere, far, far + GRID_ERROR * cell, d)
 
 
 @wp.func
@@ -215,6 +203,12 @@ def on_facet(facet: Facet, p: wp.vec3):
 
 
 @wp.func
+def least_gain(fine: float, depth: float):
+    """A smaller gain ends the search [m]."""
+    return fine + 1.0e-3 * wp.max(depth, 0.0)
+
+
+@wp.func
 def close_in(shapes: Shapes, view: View, facet: Facet, here: Probe, there: Probe):
     """The bracket of the highest point on the segment from `here` to `there`.
 
@@ -235,7 +229,7 @@ def close_in(shapes: Shapes, view: View, facet: Facet, here: Probe, there: Probe
             return bracket
         bracket.closed = 1
         span = wp.dot(bracket.high.point - bracket.low.point, u)
-        gain = view.fine + FINE_GAIN * wp.max(low, 0.0)
+        gain = least_gain(view.fine, low)
         way = 0.5 * span
         if wp.min(high + fall * span - low, low + rise * span - high) > -gain:
             way = (high - low + fall * span) / (rise + fall)
@@ -278,7 +272,7 @@ def ascend(shapes: Shapes, view: View, facet: Facet, start: Probe):
     failures = int(0)
     for _ in range(6):
         here = found.top
-        gain = view.fine + FINE_GAIN * wp.max(here.depth, 0.0)
+        gain = least_gain(view.fine, here.depth)
         # This step finds the direction in which the border can be followed.
         step = 0.25 * facet.radius / wp.max(wp.length(direction), 1.0e-12)
         along = (on_facet(facet, here.point + step * direction) - here.point) / step

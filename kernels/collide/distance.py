@@ -20,13 +20,11 @@ from warp_rigid.kernels.collide.height_places import ball_distance_to_heights
 from warp_rigid.kernels.collide.triangle_distance import (
     BORDER,
     FAR,
-    FARTHER,
     GRID_ERROR,
-    INNER,
-    LIKELY_ERROR,
     OPPOSING,
     border_width,
     chosen_place,
+    farthest_by_grid,
     triangle_distance,
 )
 from warp_rigid.kernels.common.inlining import inline_on_gpu
@@ -248,13 +246,12 @@ def mesh_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3,
         d[3] = wp.max(d[3], clear)
         return d
     error = GRID_ERROR * cell
-    far = wp.where(d[3] > INNER * cell, FARTHER * d[3], wp.abs(d[3]))
+    far = farthest_by_grid(d[3], cell)
     within = far + error
     if d[3] > 0.0:
         within = wp.min(within, wp.max(clear, error))
         d[3] = wp.max(d[3], clear)
-    likely = wp.min(far + LIKELY_ERROR * cell, within)
-    return triangle_distance(shapes, part, p, sample_normal, likely, within, d)
+    return triangle_distance(shapes, part, p, sample_normal, far, within, d)
 
 
 @wp.func

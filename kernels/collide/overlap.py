@@ -8,16 +8,7 @@ threads, but the result does not: no point of these is deeper.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.deepest_point import (
-    FINEST_GAIN,
-    Facet,
-    View,
-    climb,
-    make_facet,
-    probe,
-    surface_point,
-    true_distance,
-)
+from warp_rigid.kernels.collide.deepest_point import Facet, View, climb, make_facet, probe, surface_point, true_distance
 from warp_rigid.kernels.collide.distance import FAR, GRID_ERROR, analytic_distance
 from warp_rigid.kernels.collide.height_distance import node
 from warp_rigid.kernels.collide.triangle_distance import triangles_of
@@ -206,7 +197,7 @@ def view_of(own: int, other: int, part: int, shapes: Shapes, bodies: Bodies, sta
     )
     kind = shapes.parts[part].kind
     view.mapped = wp.where(kind == PartKind.GRID or kind == PartKind.HEIGHTFIELD or kind == PartKind.BOX, 0, 1)
-    view.fine = FINEST_GAIN * wp.min(shapes.shapes[view.own].size, shapes.shapes[view.other].size)
+    view.fine = 2.0e-6 * wp.min(shapes.shapes[view.own].size, shapes.shapes[view.other].size)
     view.piece = largest_piece(shapes, view.own, view.other)
     view.steepest = 1.0
     for k in range(shapes.shapes[view.other].part_start, shapes.shapes[view.other].part_end):

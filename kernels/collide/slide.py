@@ -24,9 +24,6 @@ from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-NEARER_HALF = wp.constant(0.505)
-"""A point slides along this fraction of an edge; the sample at the other end covers the rest."""
-
 ENOUGH = wp.constant(2.0e-5)
 """A slide does not begin, or ends, when the distance may fall by less than this fraction of the size."""
 
@@ -61,7 +58,9 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shape
             steepest = fall
             edge = along
     length = wp.length(edge)
-    fall = NEARER_HALF * steepest
+    # A little more than half; the sample at the other end covers the rest.
+    nearer = 0.505
+    fall = nearer * steepest
     search.stage = SearchStage.DONE
     search.query = search.way
     if fall <= ENOUGH * size or search.before[3] - fall > wp.min(search.distance, 0.0):
@@ -70,7 +69,7 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shape
     search.last = steepest
     search.first = search.distance
     search.along = edge / length
-    search.half = NEARER_HALF * length
+    search.half = nearer * length
     search.left = 0.0
     search.low = search.before
     search.slope_low = -steepest / length

@@ -11,6 +11,8 @@ test. The others are listed, for all pairs together, and one thread traces each 
 the time, and pairs have very different numbers of them.
 """
 
+from enum import IntEnum
+
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import gradient, slope
@@ -31,8 +33,14 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 TRACE_ITERATIONS = wp.constant(64)
 """Maximum iterations of a trace; a trace that needs more counts as touching at the point reached."""
 
-CLEAR = wp.constant(-2)
-"""Index in place of a sample that need not be traced."""
+
+class NoSample(IntEnum):
+    """Indices of a suspect that is no sample."""
+
+    CENTER = -1
+    """The centre of the body."""
+    CLEAR = -2
+    """It need not be traced."""
 
 
 @wp.struct
@@ -303,7 +311,7 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
         p = wp.transform_point(passage.start, edge.point)
         margin = edge.radius + wp.length(edge.slide) + CLOSE_ENOUGH * passage.size
         if out_of_box(p, margin + passage.reach, other.shape, shapes):
-            suspect.sample = CLEAR
+            suspect.sample = NoSample.CLEAR
         return suspect
     p = own.local_center
     radius = float(0.0)
@@ -312,11 +320,11 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
         p = sample.point
         radius = sample.radius
         if sample.kind == SampleKind.RIM:
-            suspect.sample = CLEAR
+            suspect.sample = NoSample.CLEAR
             return suspect
     path = path_length(own, other, arm_of(own, p), passage)
     if path < ALLOWED_DEPTH * passage.size:
-        suspect.sample = CLEAR
+        suspect.sample = NoSample.CLEAR
         return suspect
     gap = gap_of(shapes, other.shape, p, radius, path, passage)
     suspect.allowed = ALLOWED_DEPTH * passage.size
@@ -325,7 +333,7 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
         suspect.allowed = wp.max(handled, ALLOWED_DEPTH * passage.size - wp.min(gap, 0.0))
         suspect.begin = 0.0
     if gap + suspect.allowed > path:
-        suspect.sample = CLEAR
+        suspect.sample = NoSample.CLEAR
     return suspect
 
 
@@ -357,7 +365,7 @@ def ball_of(own: Course, cluster: int, shapes: Shapes):
     if cluster < 0:
         ball.center = own.local_center
         ball.radius = own.radius
-        ball.sample_start = -1
+        ball.sample_start = NoSample.CENTER
         ball.sample_end = shapes.shapes[own.shape].convex - 1
     else:
         known = read_cluster(cluster, shapes.clusters)
@@ -398,7 +406,7 @@ def look_at_samples(
     """List the samples of a ball that must be traced; those that do not fit are only counted."""
     for s in range(ball.sample_start + task.lane, ball.sample_end, task.lanes):
         found = look_at(shapes, own, other, s, begin, passage)
-        if found.sample != CLEAR:
+        if found.sample != NoSample.CLEAR:
             k = next_place(suspects.count, 0)
             if k >= 0 and k < suspects.pair.shape[0]:
                 suspects.pair[k] = task.pair

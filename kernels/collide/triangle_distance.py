@@ -39,18 +39,6 @@ GRID_ERROR = wp.constant(0.8661)
 """Largest error of a grid's distance between its nodes, in cells: a distance changes by at most the displacement,
 and the mean distance of the eight nodes of a cell, with the weights of the interpolation, is at most sqrt(3) / 2."""
 
-FARTHER = wp.constant(1.4143)
-"""Outside a grid the distance is at most sqrt(2) times the bound that the grid gives."""
-
-INNER = wp.constant(2.9)
-"""Points closer to the surface than this number of cells are inside the grid, whose padding is three cells wide."""
-
-LIKELY_ERROR = wp.constant(0.2)
-"""Error of a grid's distance that is seldom exceeded, in cells: the first radius of the search is small."""
-
-ON_SURFACE = wp.constant(2.0e-3)
-"""Within this fraction of a cell of the surface the direction is the normal: rounding errors would turn the offset."""
-
 
 class Feature(IntEnum):
     """Feature of a triangle: SIDE + k is the side from corner k to the next, CORNER + k is corner k."""
@@ -247,12 +235,29 @@ def is_opposed(normal: wp.vec3, facing: wp.vec3, feature: int):
 
 
 @wp.func
+def farthest_by_grid(distance: float, cell: float):
+    """Largest distance to a mesh, up to the error between nodes, from its grid's distance and cell.
+
+    The padding of a grid is three cells wide. Outside, the distance is at most sqrt(2) times the bound that it gives.
+    """
+    return wp.where(distance > 2.9 * cell, 1.4143 * distance, wp.abs(distance))
+
+
+@wp.func
+def direction_from(offset: wp.vec3, distance: float, sign: float, normal: wp.vec3, cell: float):
+    """Direction from the nearest point of a mesh: the normal very near it, where rounding errors turn the offset."""
+    if distance > 2.0e-3 * cell:
+        return sign * offset / distance
+    return normal
+
+
+@wp.func
 def triangle_distance(
-    shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, likely: float, within: float, fallback: wp.vec4
+    shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, far: float, within: float, fallback: wp.vec4
 ):
     """Distance to the nearest triangle within a radius, and its direction; `fallback` if there is none.
 
-    The radius `likely` is tried first. For a point inside the mesh and a sample normal `facing` other than zero, it is
+    It is hardly farther than `far`. For a point inside the mesh and a sample normal `facing` other than zero, it is
     the distance to the nearest triangle that opposes the sample, if there is one within the radius: a sample that has
     passed the middle of a thin wall touches the face through which it entered. For a point outside, within the border
     of such a triangle, it is the distance to its plane.
@@ -261,7 +266,8 @@ def triangle_distance(
     best.triangle = -1
     normal = wp.vec3(0.0, 0.0, 0.0)
     asked = wp.vec3(0.0, 0.0, 0.0)
-    radius = float(likely)
+    # Grids are seldom off by more than a fifth of a cell: the first radius of the search is small.
+    radius = wp.min(far + 0.2 * shapes.parts[part].grid_spacing, within)
     ahead = float(0.0)
     sign = float(1.0)
     stage = int(Look.LIKELY)
@@ -290,8 +296,7 @@ def triangle_distance(
     if best.triangle < 0:
         return fallback
     distance = wp.sqrt(best.squared)
-    if distance > ON_SURFACE * shapes.parts[part].grid_spacing:
-        normal = sign * best.offset / distance
+    normal = direction_from(best.offset, distance, sign, normal, shapes.parts[part].grid_spacing)
     return wp.vec4(normal[0], normal[1], normal[2], sign * distance)
 
 
@@ -340,10 +345,8 @@ def places_near(shapes: Shapes, part: int, p: wp.vec3, within: float):
     if best.triangle < 0:
         return places
     normal = feature_normal(shapes, best.triangle, best.feature)
-    distance = wp.sqrt(best.squared)
     sign = wp.where(wp.dot(best.offset, normal) < 0.0, -1.0, 1.0)
-    if distance > ON_SURFACE * shapes.parts[part].grid_spacing:
-        normal = sign * best.offset / distance
+    normal = direction_from(best.offset, wp.sqrt(best.squared), sign, normal, shapes.parts[part].grid_spacing)
     places = keep_place(best.triangle, best.squared, normal, places)
     if sign < 0.0:
         places.squared[0] = -best.squared

@@ -21,9 +21,6 @@ from warp_rigid.kernels.schema import COLORS, Bodies, Constraints, Environments,
 
 wp.set_module_options({"enable_backward": False})
 
-ALL_TAKEN = wp.constant(wp.uint32((1 << (COLORS - 1)) - 1))
-"""Mask of a body at which all colours except the last are in use."""
-
 NO_BID = wp.constant(wp.int64(-(2**62)))
 
 
@@ -54,7 +51,8 @@ def place_bid(k: int, begin: int, bodies: Bodies, constraints: Constraints, grap
     b = constraints.body_b[k]
     dynamic_a = bodies.motion[a] == Motion.DYNAMIC
     dynamic_b = bodies.motion[b] == Motion.DYNAMIC
-    if (dynamic_a and graph.colors[a] == ALL_TAKEN) or (dynamic_b and graph.colors[b] == ALL_TAKEN):
+    all_taken = wp.static(wp.uint32((1 << (COLORS - 1)) - 1))  # all but the serial one
+    if (dynamic_a and graph.colors[a] == all_taken) or (dynamic_b and graph.colors[b] == all_taken):
         graph.color[k] = Color.SERIAL
         return
     if dynamic_a:

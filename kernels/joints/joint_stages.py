@@ -67,8 +67,14 @@ from warp_rigid.kernels.update.integrate import rotational_energy
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-AFTER_PASSES = wp.constant(2)
-"""Value of `after_shock` right after the passes of shock propagation, which leave the joints out."""
+
+class Launch(IntEnum):
+    """When the sweeps are launched."""
+
+    BEFORE_SHOCK = 0
+    AFTER_SHOCK = 1
+    AFTER_PASSES = 2
+    """Right after the passes of shock propagation, which leave the joints out."""
 
 
 class Phase(IntEnum):
@@ -220,7 +226,7 @@ def warm_start_with_joints(
 
 @wp.kernel
 def sweep_with_joints(
-    after_shock: int,
+    launch: int,
     repetition: int,
     dt: float,
     lanes: int,
@@ -238,38 +244,38 @@ def sweep_with_joints(
     """
     team = team_of(wp.tid(), lanes)
     env = team.env
-    if after_shock == AFTER_PASSES and not has_repetition(repetition, env, envs):
+    if launch == Launch.AFTER_PASSES and not has_repetition(repetition, env, envs):
         return
     unit = motions.velocity_unit[envs.first_body[env]]
     touched = any_touched(team, joints)
     has_joints = joints.first_joint[env] < joints.first_joint[env + 1]
-    starts = after_shock == 0 and envs.warm_starting[env] == 1 and has_joints and order.color_count[env] > 0
+    starts = (
+        launch == Launch.BEFORE_SHOCK and envs.warm_starting[env] == 1 and has_joints and order.color_count[env] > 0
+    )
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
-    if after_shock != AFTER_PASSES:
-        left = sweeps_of(after_shock, team, envs, graph)
+    if launch != Launch.AFTER_PASSES:
+        left = sweeps_of(launch, team, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS and touched == 0, 1, 0)
     unsolved = int(1)
     done = int(0)
     residual = float(0.0)
-    is_searched = after_shock == 1 and searched(env, envs, graph)
+    is_searched = launch == Launch.AFTER_SHOCK and searched(env, envs, graph)
     phase = int(wp.where(starts, Phase.STARTING, phase_after(Phase.STARTING, left, touched, is_searched)))
     while phase != Phase.OVER:
-        change = sweep_once(
-            phase, after_shock, touched, layered, dt, team, order, graph, motions, contacts, joints, visits
-        )
+        change = sweep_once(phase, launch, touched, layered, dt, team, order, graph, motions, contacts, joints, visits)
         if phase == Phase.SWEEPING:
             residual = change
             done += 1
             unsolved = any_of_team(wp.where(residual > CONVERGED * unit, 1, 0), team)
             left = unsolved * (left - 1)
         if phase == Phase.SEARCHING:
-            since = wp.where(after_shock == 0, BEFORE_CONTACTS, START)
+            since = wp.where(launch == Launch.BEFORE_SHOCK, BEFORE_CONTACTS, START)
             search_energy(since, dt, team, envs, order, graph, motions, contacts, joints)
         is_first = starts and done == 1 and phase == Phase.SWEEPING
         phase = wp.where(is_first, Phase.SEARCHING, phase_after(phase, left, touched, is_searched))
-    if after_shock == 0:
+    if launch == Launch.BEFORE_SHOCK:
         graph.converged[env] = 1 - unsolved
-    if after_shock != AFTER_PASSES:
+    if launch != Launch.AFTER_PASSES:
         report_sweeps(done, residual, team, graph)
 
 
@@ -290,7 +296,7 @@ def phase_after(phase: int, left: int, touched: int, is_searched: bool):
 @wp.func
 def sweep_once(
     phase: int,
-    after_shock: int,
+    launch: int,
     touched: int,
     layered: int,
     dt: float,
@@ -308,7 +314,7 @@ def sweep_once(
     solution alone.
     """
     change = float(0.0)
-    if phase == Phase.SWEEPING and after_shock != AFTER_PASSES:
+    if phase == Phase.SWEEPING and launch != Launch.AFTER_PASSES:
         for level in range(layered, layered * graph.level_count[team.env] + 1):
             change = wp.max(change, sweep_others(level, team, order, graph, motions, contacts, joints))
     if phase != Phase.STARTING:

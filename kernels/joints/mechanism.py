@@ -46,15 +46,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MOST_PREDICTIONS = wp.constant(16)
 """Maximum solutions at newly predicted poses, at the start and at the end of a step. Two are enough for slow bodies."""
 
-SLOW_DECREASE = wp.constant(0.5)
-"""Ratio of two successive residuals from which on the rows become those of the predicted poses.
-
-With the rows of the pose at the start of the step, the solutions converge slowly, or diverge, if light links between
-heavy bodies turn by a larger angle in a step than the square root of the ratio of masses. With those of the predicted
-poses, each solution is a projection of the pose: they converge as Newton's method does, and lose some energy. With a
-ratio of a tenth, gyroscopes lose their spin.
-"""
-
 JOINT_SOLVED = wp.constant(1.0e-5)
 """Residual of a joint below which it counts as solved [m/s, rad/s]: less than 0.1 micrometres per step."""
 
@@ -380,7 +371,11 @@ def settle_mechanism(
 
     `exact`: 1 if it gives up where the rows of the pose at the start are not enough.
 
-    The first solution in a step has a prediction that is linear in the velocities; it is the one to return to.
+    The first solution in a step has a prediction that is linear in the velocities; it is the one to return to. With the
+    rows of the pose at the start of the step, the solutions converge slowly, or diverge, if light links between heavy
+    bodies turn by a larger angle in a step than the square root of the ratio of masses. Once a residual has not halved,
+    the rows are those of the predicted poses: each solution is a projection of the pose, which converges as Newton's
+    method does, and loses some energy. With a tenth instead of a half, gyroscopes lose their spin.
     """
     k = int(0)
     anew = int(0)
@@ -400,7 +395,7 @@ def settle_mechanism(
             k = 0
         else:
             left = change
-            if k > 0 and change > SLOW_DECREASE * last and anew == 0:
+            if k > 0 and change > 0.5 * last and anew == 0:
                 if exact == 1:
                     return 1
                 take_back(m, team, motions, joints)

@@ -35,9 +35,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MOST_PARTS = wp.constant(64)
 """Maximum number of parts. Vibrations that are faster are slowed, and faster turns lose energy."""
 
-TINY = wp.constant(1.0e-6)
-"""Length below which an arm counts as none [m]."""
-
 
 @wp.struct
 class Balance:
@@ -59,21 +56,22 @@ class Balance:
 @wp.func
 def turning_of(j: int, bodies: Bodies, motions: Motions, joints: Joints):
     """Angular velocity with which the arms of a joint turn, or the line between the points of a distance [rad/s]."""
+    tiny = 1.0e-6  # of an arm that counts as none [m]
     ends = ends_of(j, joints)
     a = joints.body_a[j]
     b = joints.body_b[j]
     arm = wp.vec3(ends.point_a - center_of(a, bodies, joints))
     moved = wp.cross(load_velocity(a, VELOCITY + 1, motions), arm)
-    rate = wp.length(moved) / wp.max(wp.length(arm), TINY)
+    rate = wp.length(moved) / wp.max(wp.length(arm), tiny)
     velocity = load_velocity(a, VELOCITY, motions) + moved
     if joints.to_world[j] == 0:
         arm = wp.vec3(ends.point_b - center_of(b, bodies, joints))
         moved = wp.cross(load_velocity(b, VELOCITY + 1, motions), arm)
-        rate = wp.max(rate, wp.length(moved) / wp.max(wp.length(arm), TINY))
+        rate = wp.max(rate, wp.length(moved) / wp.max(wp.length(arm), tiny))
         velocity -= load_velocity(b, VELOCITY, motions) + moved
     if joints.coordinate[j] == Coordinate.LENGTH:
         apart = wp.vec3(ends.point_a - ends.point_b)
-        rate = wp.max(rate, wp.length(wp.cross(velocity, apart)) / wp.max(wp.length_sq(apart), TINY))
+        rate = wp.max(rate, wp.length(wp.cross(velocity, apart)) / wp.max(wp.length_sq(apart), tiny))
     return rate
 
 

@@ -219,18 +219,18 @@ class JointStages:
         self._per_mechanism(kernels.move_untouched, [self.dt], [self.bodies, self.state], [motions, self.arrays])
         self._settle(after_push=0)
         self._per_team(kernels.warm_start_with_joints, [pools.constraints, *changed])
-        self._per_team(kernels.sweep_with_joints, changed, [0, 0, self.dt])
+        self._per_team(kernels.sweep_with_joints, changed, [kernels.Launch.BEFORE_SHOCK, 0, self.dt])
         step.solve_parts(SolverPart.REST)
         for k in range(step.repetitions):
             repetition = range(k, k + 1)
             self._per_team(kernels.store_joint_start, [graph, self.arrays], [k])
             step.solve_parts(SolverPart.PASSES, repetition)
-            self._per_team(kernels.sweep_with_joints, changed, [kernels.AFTER_PASSES, k, self.dt])
+            self._per_team(kernels.sweep_with_joints, changed, [kernels.Launch.AFTER_PASSES, k, self.dt])
             step.solve_parts(SolverPart.ENERGY, repetition)
             self._per_team(kernels.add_energy_of_joints, [graph, motions, self.arrays], [k, self.dt])
             step.solve_parts(SolverPart.STEP_LENGTH, repetition)
             self._per_team(kernels.blend_joints, [graph, motions, self.arrays], [k])
-        self._per_team(kernels.sweep_with_joints, changed, [1, 0, self.dt])
+        self._per_team(kernels.sweep_with_joints, changed, [kernels.Launch.AFTER_SHOCK, 0, self.dt])
         step.solve_parts(SolverPart.CALM)
 
     def _settle(self, after_push: int) -> None:
