@@ -135,7 +135,7 @@ def keep_contacts(
 ):
     """The threads share the pairs: keep the samples of pairs that have hardly moved, list the others for the search.
 
-    The first round skips dormant pairs, the second one processes those that have been woken since. The order of the
+    The first launch skips dormant pairs, the second one processes those that have been woken since. The order of the
     list is arbitrary, as the pairs are searched independently.
     """
     own = claim(wp.tid(), sharing)

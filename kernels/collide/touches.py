@@ -325,9 +325,9 @@ def touch_near_samples(
     near: NearSamples,
     wanted: wp.array2d[int],
 ):
-    """The threads share the near samples of a round: find their contact points. Record the number of samples.
+    """The threads share the near samples of a launch: find their contact points. Record the number of samples.
 
-    If there are more of searched pairs than fit, the step is void, and none of them touches. Only the second round,
+    If there are more of searched pairs than fit, the step is void, and none of them touches. Only the second launch,
     of pairs that were `woken`, has samples before its own.
     """
     own = claim(wp.tid(), sharing)
