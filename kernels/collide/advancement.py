@@ -66,14 +66,7 @@ def time_to_close(left: float, left_at_end: float, closing: float, curve: float,
 
 @wp.func
 def impact_of_solids(
-    first: Course,
-    second: Course,
-    axis: wp.vec3,
-    near: float,
-    begin: float,
-    end: float,
-    size: float,
-    shapes: Shapes,
+    first: Course, second: Course, axis: wp.vec3, near: float, begin: float, end: float, size: float, shapes: Shapes
 ):
     """Time from `begin` on at which two convex solids overlap by more than ALLOWED_DEPTH sizes; `end` if they do not.
 

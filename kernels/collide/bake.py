@@ -74,13 +74,7 @@ def signed_arm(tables: MeshTables, point: wp.vec3, reach: float) -> wp.vec4:
 
 
 @wp.kernel
-def distance_columns(
-    tables: MeshTables,
-    origin: wp.vec3,
-    spacing: float,
-    first: int,
-    values: wp.array3d[float],
-):
+def distance_columns(tables: MeshTables, origin: wp.vec3, spacing: float, first: int, values: wp.array3d[float]):
     """One thread per column of grid nodes along z, from column `first` on.
 
     Distances at neighbouring nodes differ by at most the spacing, which limits the search radius of each query after
@@ -99,12 +93,7 @@ def distance_columns(
 
 
 @wp.kernel
-def distance_points(
-    tables: MeshTables,
-    points: wp.array[wp.vec3],
-    first: int,
-    arms: wp.array[wp.vec4],
-):
+def distance_points(tables: MeshTables, points: wp.array[wp.vec3], first: int, arms: wp.array[wp.vec4]):
     """One thread per point, from point `first` on; see `signed_arm`."""
     point = first + wp.tid()
     arms[point] = signed_arm(tables, points[point], FAR)

@@ -109,13 +109,7 @@ def find_stale(bodies: Bodies, envs: Environments, motions: Motions, cells: Cell
 
 
 @wp.kernel
-def enlarge_boxes(
-    dt: float,
-    shapes: Shapes,
-    bodies: Bodies,
-    motions: Motions,
-    cells: Cells,
-):
+def enlarge_boxes(dt: float, shapes: Shapes, bodies: Bodies, motions: Motions, cells: Cells):
     """One thread per body of a marked environment: its fat box and its cell, which are counted."""
     i = wp.tid()
     env = bodies.env[i]
@@ -176,14 +170,7 @@ def precedes(a: wp.vec4i, b: wp.vec4i):
 
 
 @wp.func
-def visit_cell(
-    i: int,
-    cell: wp.vec4i,
-    bucket: int,
-    room: int,
-    bodies: Bodies,
-    cells: Cells,
-):
+def visit_cell(i: int, cell: wp.vec4i, bucket: int, room: int, bodies: Bodies, cells: Cells):
     """List the pairs of body i with those in a cell, of which one of two is dynamic.
 
     The first of the two in the order of pairs lists the pair. In its own cell, body i is only tested with later bodies.
@@ -201,12 +188,7 @@ def visit_cell(
 
 
 @wp.kernel
-def search_cells(
-    room: int,
-    lanes: int,
-    bodies: Bodies,
-    cells: Cells,
-):
+def search_cells(room: int, lanes: int, bodies: Bodies, cells: Cells):
     """A team of lanes for each body of a marked environment searches the cells around it, of its own and higher levels.
 
     Of two cells of a level, only the bodies of the first search the other. Static and kinematic bodies only search

@@ -35,14 +35,7 @@ from warp_rigid.kernels.collide.course import (
 )
 from warp_rigid.kernels.collide.culling import out_of_box
 from warp_rigid.kernels.collide.near_samples import Suspects
-from warp_rigid.kernels.collide.trace import (
-    Suspect,
-    TraceTask,
-    ball_of,
-    look_at_samples,
-    trace_ball,
-    trace_suspect,
-)
+from warp_rigid.kernels.collide.trace import Suspect, TraceTask, ball_of, look_at_samples, trace_ball, trace_suspect
 from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.common.symmetry import Symmetry, spin_of_surface, symmetry_of
 from warp_rigid.kernels.common.team import MOST_REGISTERS, next_place
@@ -435,14 +428,7 @@ def time_of(impact: wp.int64):
 
 @wp.func
 def motion_after(
-    b: int,
-    impact: wp.int64,
-    dt: float,
-    shapes: Shapes,
-    bodies: Bodies,
-    state: State,
-    pairs: Pairs,
-    motions: Motions,
+    b: int, impact: wp.int64, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions
 ):
     """The motion of a body after an impact in `first_impact`."""
     pair = int(impact % PAIR_NUMBERS)

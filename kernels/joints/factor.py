@@ -26,12 +26,7 @@ from warp_rigid.kernels.joints.elements import (
     set_entry,
     set_row,
 )
-from warp_rigid.kernels.joints.joint_rows import (
-    has_coordinate,
-    is_damped,
-    is_locked,
-    present_rows,
-)
+from warp_rigid.kernels.joints.joint_rows import has_coordinate, is_damped, is_locked, present_rows
 from warp_rigid.kernels.joints.poses import free_row
 from warp_rigid.kernels.schema import Motions
 

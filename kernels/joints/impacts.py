@@ -10,14 +10,7 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import VELOCITY, BodyPair, at_rest, first_three, load_bodies, store_bodies
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import (
-    Team,
-    any_of_team,
-    any_of_warp,
-    part_of_team,
-    sync_team,
-    sync_warp,
-)
+from warp_rigid.kernels.common.team import Team, any_of_team, any_of_warp, part_of_team, sync_team, sync_warp
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
     read_contact,

@@ -33,13 +33,7 @@ from warp_rigid.kernels.solve.line_search import (
     scale_change,
     store_terms,
 )
-from warp_rigid.kernels.solve.schedule import (
-    end_of_entries,
-    entry_at,
-    first_entry,
-    first_of_color,
-    stride_of_color,
-)
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
 from warp_rigid.kernels.solve.shock import island_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

@@ -19,13 +19,7 @@ from warp_rigid.kernels.joints.initial_impulses import (
     store_before_impulses,
     warm_start_others,
 )
-from warp_rigid.kernels.joints.loads import (
-    any_touched,
-    find_touched,
-    leave_out_of_shock,
-    solve_joints,
-    sweep_others,
-)
+from warp_rigid.kernels.joints.loads import any_touched, find_touched, leave_out_of_shock, solve_joints, sweep_others
 from warp_rigid.kernels.joints.mechanism import (
     Activity,
     activity_of,
@@ -54,10 +48,7 @@ from warp_rigid.kernels.schema import (
     SleepState,
     State,
 )
-from warp_rigid.kernels.solve.gauss_seidel import (
-    report_sweeps,
-    sweeps_of,
-)
+from warp_rigid.kernels.solve.gauss_seidel import report_sweeps, sweeps_of
 from warp_rigid.kernels.solve.line_search import FIXED_POINT, add_up, searched
 from warp_rigid.kernels.solve.restitution import bounce_groups, open_impacts, sweep_impacts
 from warp_rigid.kernels.solve.shock import has_repetition, is_propagated
@@ -465,14 +456,7 @@ def join_courses(lanes: int, bodies: Bodies, motions: Motions, joints: Joints):
 
 @wp.kernel
 def share_impacts(
-    dt: float,
-    lanes: int,
-    shapes: Shapes,
-    bodies: Bodies,
-    state: State,
-    pairs: Pairs,
-    motions: Motions,
-    joints: Joints,
+    dt: float, lanes: int, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions, joints: Joints
 ):
     """One team per mechanism, after an iteration: at its first impact, its joints stop, and it moves on as a whole.
 

@@ -24,13 +24,7 @@ from warp_rigid.kernels.common.solver_body import (
     with_impulse,
 )
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import (
-    Team,
-    any_of_team,
-    part_of_team,
-    sync_team,
-    sync_warp,
-)
+from warp_rigid.kernels.common.team import Team, any_of_team, part_of_team, sync_team, sync_warp
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.enums import IslandSolver, Role

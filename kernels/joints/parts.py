@@ -8,12 +8,7 @@ what the scheme conserves does not change. There is no solution where links turn
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import (
-    VELOCITY,
-    inverse_inertia_at,
-    load_velocity,
-    store_inverse_inertia,
-)
+from warp_rigid.kernels.common.solver_body import VELOCITY, inverse_inertia_at, load_velocity, store_inverse_inertia
 from warp_rigid.kernels.common.team import Team, any_of_warp, max_of_lanes, sync_warp
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints

@@ -119,13 +119,7 @@ def report_sweeps(sweeps: int, residual: float, team: Team, graph: Graph):
 
 @wp.func
 def sweep_constraints(
-    after_shock: int,
-    team: Team,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    contacts: Contacts,
+    after_shock: int, team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """Half of the contact iterations, before or after the two passes of shock propagation.
 

@@ -12,11 +12,7 @@ from warp_rigid.kernels.common.solver_body import load_bodies
 from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
 from warp_rigid.kernels.schema import Contacts, Environments, Motions
 from warp_rigid.kernels.solve.pair_impact import after_impact, has_restitution, set_targets
-from warp_rigid.kernels.solve.rounds import (
-    list_round_pair,
-    read_round_pair,
-    with_split_masses,
-)
+from warp_rigid.kernels.solve.rounds import list_round_pair, read_round_pair, with_split_masses
 from warp_rigid.kernels.solve.slots import clear_slots, store_change
 
 wp.set_module_options({"enable_backward": False})

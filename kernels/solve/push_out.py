@@ -85,14 +85,7 @@ def fastest_recovery(pull: float, size: float, dt: float):
 
 @wp.func
 def wanted_speed(
-    c: int,
-    dt: float,
-    shapes: Shapes,
-    bodies: Bodies,
-    state: State,
-    pairs: Pairs,
-    motions: Motions,
-    contacts: Contacts,
+    c: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions, contacts: Contacts
 ):
     """Separation speed that the contact requires [m/s], 0 if none."""
     row = read_contact(c, contacts.rows)
@@ -217,14 +210,7 @@ def separate(freeze: int, most: int, team: Team, order: Order, graph: Graph, mot
 
 
 @wp.kernel
-def push_apart(
-    lanes: int,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    contacts: Contacts,
-):
+def push_apart(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """One team per environment: separate all pairs, with the lower body frozen where the upper one rests on it.
 
     As in shock propagation, all levels are iterated together. Bodies caught between two frozen bodies are separated by

@@ -19,15 +19,7 @@ from warp_rigid.kernels.constraints.contact import (
     write_impulse,
 )
 from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
-from warp_rigid.kernels.schema import (
-    Bodies,
-    Contacts,
-    Motions,
-    Pairs,
-    Shapes,
-    SolverBodyRecord,
-    State,
-)
+from warp_rigid.kernels.schema import Bodies, Contacts, Motions, Pairs, Shapes, SolverBodyRecord, State
 from warp_rigid.kernels.solve.push_out import wanted_speed
 from warp_rigid.kernels.solve.round_sharing import first_share, next_share
 from warp_rigid.kernels.solve.rounds import (
@@ -139,12 +131,7 @@ def push_pair_apart(
 
 @wp.kernel
 def push_round(
-    place: int,
-    sharing: Sharing,
-    rounds: Rounds,
-    slots: Slots,
-    bodies: wp.array[SolverBodyRecord],
-    contacts: Contacts,
+    place: int, sharing: Sharing, rounds: Rounds, slots: Slots, bodies: wp.array[SolverBodyRecord], contacts: Contacts
 ):
     """Teams of lanes share the pairs of a round, the one at `place` of its group; workers on a CPU those of all."""
     lanes = lanes_of_pair()

@@ -137,13 +137,7 @@ def open_impacts(team: Team, envs: Environments, order: Order, graph: Graph):
 
 @wp.kernel
 def solve_impacts(
-    dt: float,
-    lanes: int,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    contacts: Contacts,
+    dt: float, lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """One team per environment: sweeps of impacts until there are none, at most `collision_iterations`."""
     team = team_of(wp.tid(), lanes)

@@ -91,12 +91,7 @@ class Shards:
     """
 
     def __init__(
-        self,
-        ranges: list[Range],
-        arrays: Arrays,
-        capacity: dict[str, int] | None,
-        limit: MemoryLimit,
-        other_bytes: int,
+        self, ranges: list[Range], arrays: Arrays, capacity: dict[str, int] | None, limit: MemoryLimit, other_bytes: int
     ) -> None:
         """Create the shards; `choose` must be called next."""
         self._threads, self._attempt = usable_cores(), 0

@@ -26,18 +26,7 @@ NAMES_OF_TEAM_MODULES = [module.__name__ for module in TEAM_MODULES]
 HEAPS = (rounds, push_rounds, impact_rounds, rest)
 """Kernel modules for rounds, which exist in environments of many bodies only."""
 
-STEP = (
-    narrowphase,
-    ccd,
-    *TEAM_MODULES,
-    integrate,
-    health,
-    predict,
-    islands,
-    broadphase,
-    build_contacts,
-    capacity,
-)
+STEP = (narrowphase, ccd, *TEAM_MODULES, integrate, health, predict, islands, broadphase, build_contacts, capacity)
 """Kernel modules that every step requires."""
 
 GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)

@@ -219,11 +219,7 @@ def sizes_for(pairs: int, contacts: int, layout: dict[str, int]) -> dict[str, in
 def with_lists(sizes: dict[str, int]) -> dict[str, int]:
     """Sizes of the data layout with those of the lists of pairs."""
     count = sizes["pairs"]
-    return {
-        **sizes,
-        "crowd_pairs": count if sizes["crowd"] > 0 else 0,
-        "visits": count if sizes["joints"] > 0 else 0,
-    }
+    return {**sizes, "crowd_pairs": count if sizes["crowd"] > 0 else 0, "visits": count if sizes["joints"] > 0 else 0}
 
 
 def fill(array: wp.array, rows: np.ndarray) -> None:
