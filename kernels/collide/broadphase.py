@@ -13,7 +13,7 @@ asleep are copied from the last step's list as dormant pairs.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.candidates import ALL_LATER
+from warp_rigid.kernels.collide.candidates import ALL_LATER, boxes_overlap
 from warp_rigid.kernels.common.team import ballot, bits_below
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Cells, Environments, History, Motions, Pairs, Shapes
@@ -26,16 +26,6 @@ def may_meet(a: int, b: int):
     """Whether bodies with these roles can come into contact: at least one moves, and at least one responds."""
     both = a | b
     return a != Role.ABSENT and b != Role.ABSENT and ((both & Role.FREE) != 0 or both == (Role.KINEMATIC | Role.ASLEEP))
-
-
-@wp.func
-def boxes_overlap(motions: Motions, i: int, j: int):
-    """Whether the swept boxes of two bodies overlap."""
-    a = motions.lower[i]
-    b = motions.upper[i]
-    c = motions.lower[j]
-    d = motions.upper[j]
-    return a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]
 
 
 @wp.func
@@ -116,7 +106,7 @@ def visit_candidates(
     for base in range(0, count, lanes):
         j = candidate(i, base + lane, room, bodies, envs, cells)
         meets = int(0)
-        if j >= 0 and may_meet(motions.role[i], motions.role[j]) and boxes_overlap(motions, i, j):
+        if j >= 0 and may_meet(motions.role[i], motions.role[j]) and boxes_overlap(i, j, motions.lower, motions.upper):
             meets = wp.where(has_colliders(j, shapes, bodies) and not is_filtered(i, j - first, bodies), 1, 0)
         hits = ballot(meets, lanes)
         if write == 1 and meets == 1:

@@ -150,12 +150,12 @@ def fill_buckets(bodies: Bodies, cells: Cells):
 
 
 @wp.func
-def fat_boxes_overlap(i: int, j: int, cells: Cells):
-    """Whether the fat boxes of two bodies overlap."""
-    a = cells.lower[i]
-    b = cells.upper[i]
-    c = cells.lower[j]
-    d = cells.upper[j]
+def boxes_overlap(i: int, j: int, lower: wp.array[wp.vec3], upper: wp.array[wp.vec3]):
+    """Whether two boxes overlap."""
+    a = lower[i]
+    b = upper[i]
+    c = lower[j]
+    d = upper[j]
     return a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]
 
 
@@ -180,7 +180,7 @@ def visit_cell(i: int, cell: wp.vec4i, bucket: int, room: int, bodies: Bodies, c
     for k in range(cells.bucket_start[bucket], cells.bucket_start[bucket + 1]):
         j = cells.member[k]
         either = dynamic or bodies.motion[j] == Motion.DYNAMIC
-        if cells.cell[j] == cell and either and not (own and j <= i) and fat_boxes_overlap(i, j, cells):
+        if cells.cell[j] == cell and either and not (own and j <= i) and boxes_overlap(i, j, cells.lower, cells.upper):
             owner = wp.where(cells.rank[i] < cells.rank[j], i, j)
             place = wp.atomic_add(cells.listed, owner, 1)
             if place < room:
