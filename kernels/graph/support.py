@@ -206,7 +206,7 @@ def is_open(b: int, graph: Graph):
 def spread_labels(
     first_edge: int, last_edge: int, first: int, last: int, team: Team, constraints: Constraints, graph: Graph
 ):
-    """One round: an open body takes the highest label of its open supports. Returns 1 if any label changed.
+    """One iteration: an open body takes the highest label of its open supports. Returns 1 if any label changed.
 
     The label of a body is itself a reachable body, so the body also takes the label of its label (pointer jumping).
     """
@@ -228,7 +228,7 @@ def spread_labels(
 
 @wp.func
 def spread_within(first_edge: int, last_edge: int, team: Team, constraints: Constraints, graph: Graph):
-    """One round: bodies reached from the body of their own label are in its cycle. Returns 1 if any changed."""
+    """One iteration: bodies reached from the body of their own label are in its cycle. Returns 1 if any changed."""
     changed = int(0)
     for _ in range(passes_of(team)):
         for edge in range(first_edge, last_edge, team.lanes):

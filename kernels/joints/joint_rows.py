@@ -246,6 +246,14 @@ def apply_solution(m: int, which: int, team: Team, motions: Motions, joints: Joi
 
 
 @wp.func
+def add_to_impulses(m: int, team: Team, joints: Joints):
+    """Add the impulses in `solution`, negative, to those of the step."""
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
+        j = joints.sequence[place]
+        joints.total[j] = joints.total[j] - joints.solution[j, 0]
+
+
+@wp.func
 def is_present(j: int, motions: Motions, joints: Joints):
     """Whether a joint acts in this step: it is not broken, and its bodies are not switched off."""
     absent = motions.role[joints.body_a[j]] == Role.ABSENT or motions.role[joints.body_b[j]] == Role.ABSENT

@@ -27,6 +27,7 @@ from warp_rigid.kernels.joints.coordinate import (
 )
 from warp_rigid.kernels.joints.factor import active_rows, compliance_of, factorize, substitute
 from warp_rigid.kernels.joints.joint_rows import (
+    add_to_impulses,
     apply_solution,
     build_rows,
     coordinate_rate,
@@ -266,9 +267,7 @@ def apply_substituted(m: int, which: int, team: Team, motions: Motions, joints: 
     """Solve for the impulses that remove the velocities in `solution`, and apply them: VELOCITY or PUSH."""
     substitute(m, 0, team, joints)
     if which == VELOCITY:
-        for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
-            j = joints.sequence[place]
-            joints.total[j] = joints.total[j] - joints.solution[j, 0]
+        add_to_impulses(m, team, joints)
     apply_solution(m, which, team, motions, joints)
 
 

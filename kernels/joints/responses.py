@@ -12,7 +12,7 @@ from warp_rigid.kernels.common.team import Team, single_lane, sync_warp
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.elements import rows_times, set_entry, sum_of_rows
 from warp_rigid.kernels.joints.factor import substitute
-from warp_rigid.kernels.joints.joint_rows import add_velocity, apply_solution, is_locked
+from warp_rigid.kernels.joints.joint_rows import add_to_impulses, add_velocity, apply_solution, is_locked
 from warp_rigid.kernels.schema import Motions
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -124,7 +124,5 @@ def push_mechanism(m: int, b: int, which: int, team: Team, motions: Motions, joi
     """As `move_mechanism`; velocities are changed by impulses of the joints, which are added to those of the step."""
     move_mechanism(m, b, which, team, motions, joints)
     if which == VELOCITY:
-        for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
-            j = joints.sequence[place]
-            joints.total[j] = joints.total[j] - joints.solution[j, 0]
+        add_to_impulses(m, team, joints)
     sync_warp(team.lanes)

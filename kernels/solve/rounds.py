@@ -42,6 +42,7 @@ from warp_rigid.kernels.constraints.contact import (
     read_contact,
     set_impulse,
     solve_rolling,
+    store_start,
     velocity_change,
 )
 from warp_rigid.kernels.constraints.records import is_active
@@ -430,8 +431,7 @@ def start_rounds(threads: int, rounds: Rounds, slots: Slots, motions: Motions, c
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = read_round_pair(k, rounds.pairs)
         for c in range(entry.begin, entry.end):
-            set_impulse(c, START_IMPULSE, impulse_of(c, IMPULSE, contacts), contacts)
-            set_impulse(c, START_ANGULAR_IMPULSE, impulse_of(c, ANGULAR_IMPULSE, contacts), contacts)
+            store_start(c, contacts)
         apply_impulses(entry, slots, motions, contacts)
 
 
