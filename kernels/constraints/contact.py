@@ -252,12 +252,12 @@ def energy_terms(c: int, has_start: bool, then: BodyPair, now: BodyPair, contact
     """
     row = read_contact(c, contacts.rows)
     change = impulse_of(c, IMPULSE, contacts)
-    turn = impulse_of(c, ANGULAR_IMPULSE, contacts)
+    moment = impulse_of(c, ANGULAR_IMPULSE, contacts)
     if has_start:
         change -= impulse_of(c, START_IMPULSE, contacts)
-        turn -= impulse_of(c, START_ANGULAR_IMPULSE, contacts)
+        moment -= impulse_of(c, START_ANGULAR_IMPULSE, contacts)
     impulse = world_vector(row.normal, row.tangent, change)
-    angular_impulse = world_vector(row.normal, row.tangent, turn)
+    angular_impulse = world_vector(row.normal, row.tangent, moment)
     before = contact_velocity(row, then)
     spin_before = then.angular_a - then.angular_b
     spin = now.angular_a - now.angular_b
@@ -278,8 +278,8 @@ def blend_row(c: int, t: float, contacts: Contacts):
     """Interpolate linearly from the stored start impulses (t = 0) to the current impulses (t = 1)."""
     start = impulse_of(c, START_IMPULSE, contacts)
     set_impulse(c, IMPULSE, start + t * (impulse_of(c, IMPULSE, contacts) - start), contacts)
-    turn = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
-    set_impulse(c, ANGULAR_IMPULSE, turn + t * (impulse_of(c, ANGULAR_IMPULSE, contacts) - turn), contacts)
+    moment = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
+    set_impulse(c, ANGULAR_IMPULSE, moment + t * (impulse_of(c, ANGULAR_IMPULSE, contacts) - moment), contacts)
 
 
 @wp.func
@@ -288,6 +288,6 @@ def extrapolate_row(c: int, beta: float, contacts: Contacts):
     new = impulse_of(c, IMPULSE, contacts)
     set_impulse(c, IMPULSE, new + beta * (new - impulse_of(c, START_IMPULSE, contacts)), contacts)
     set_impulse(c, START_IMPULSE, new, contacts)
-    turn = impulse_of(c, ANGULAR_IMPULSE, contacts)
-    set_impulse(c, ANGULAR_IMPULSE, turn + beta * (turn - impulse_of(c, START_ANGULAR_IMPULSE, contacts)), contacts)
-    set_impulse(c, START_ANGULAR_IMPULSE, turn, contacts)
+    moment = impulse_of(c, ANGULAR_IMPULSE, contacts)
+    set_impulse(c, ANGULAR_IMPULSE, moment + beta * (moment - impulse_of(c, START_ANGULAR_IMPULSE, contacts)), contacts)
+    set_impulse(c, START_ANGULAR_IMPULSE, moment, contacts)
