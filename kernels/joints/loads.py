@@ -211,9 +211,9 @@ def leave_out_of_shock(first: int, last: int, team: Team, order: Order, motions:
 @wp.func
 def wrench(arm: wp.vec3, direction: wp.vec3):
     """Impulse and angular impulse of a unit impulse at an arm."""
-    turn = wp.cross(wp.vec3d(arm), wp.vec3d(direction))
+    moment = wp.cross(wp.vec3d(arm), wp.vec3d(direction))
     d = wp.vec3d(direction)
-    return vec6d(d[0], d[1], d[2], turn[0], turn[1], turn[2])
+    return vec6d(d[0], d[1], d[2], moment[0], moment[1], moment[2])
 
 
 @wp.func(inline=False)
@@ -353,9 +353,9 @@ def pushed(row: ContactRecord, impulse: wp.vec3, visit: Visit, joints: Joints):
 def turned(angular_impulse: wp.vec3, visit: Visit, joints: Joints):
     """The visit after an angular impulse on the first body, and its opposite on the second."""
     visit.pair = with_angular_impulse(angular_impulse, visit.pair)
-    turn = wp.vec3d(angular_impulse)
+    moment = wp.vec3d(angular_impulse)
     zero = wp.float64(0.0)
-    twist = vec6d(zero, zero, zero, turn[0], turn[1], turn[2])
+    twist = vec6d(zero, zero, zero, moment[0], moment[1], moment[2])
     return with_wrenches(twist, -twist, visit, joints)
 
 
@@ -407,8 +407,8 @@ def touch(start: int, c: int, visit: Visit, contacts: Contacts, joints: Joints):
     visit = pushed(row, world_vector(row.normal, row.tangent, change), visit, joints)
     if start == 1 or row.rolling_friction + row.spinning_friction > 0.0:
         # An angular impulse on a body of a mechanism moves its centre of mass, too.
-        turn = rolling_change(start, c, row, visit, contacts, joints)
-        visit = turned(world_vector(row.normal, row.tangent, turn), visit, joints)
+        moment = rolling_change(start, c, row, visit, contacts, joints)
+        visit = turned(world_vector(row.normal, row.tangent, moment), visit, joints)
     return visit
 
 
