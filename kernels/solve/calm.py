@@ -4,10 +4,10 @@ A structure that carries load sideways, such as an arch or a card house, needs m
 load has no order, so shock propagation is of little use, and an error of the velocities deforms it before the impulses
 of earlier steps can correct the error. Islands whose bodies hardly move, and were placed where they are, are therefore
 swept until no row changes a velocity any more. At rest the impulses of the last step solve the problem, and no such
-sweep is needed. A structure that topples is swept further, too, but less often: its contacts turn in each step,
-and impulses that have not converged would add energy. If a structure in motion is still far from its solution, as heavy
-boxes that slide on a light tray are, it is swept as long as one at rest, without momentum. Piles of bodies whose masses differ much are swept in the same
-way: the sweeps before converge slowly where heavy bodies are on light ones.
+sweep is needed. A structure that topples is swept further, too, but less often: its contacts turn in each step, and
+impulses that have not converged would add energy. If a structure in motion is still far from its solution, as heavy
+boxes that slide on a light tray are, it is swept as long as one at rest, without momentum. Piles of bodies whose masses
+differ much are swept in the same way: the sweeps before converge slowly where heavy bodies are on light ones.
 
 The sweeps of an arch of n stones reduce the error by a fraction that decreases with the fourth power of n. With the
 momentum b = (k - 1) / (k + 2) of sweep k (rounds.py), it decreases with the square of n: 27 stones need about 200
