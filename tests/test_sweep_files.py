@@ -19,7 +19,7 @@ import zarr
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
 from warp_rigid.sweep import batch_run as batch_module
-from warp_rigid.sweep import merge, read, read_series
+from warp_rigid.sweep import execution, merge, read, read_series
 from warp_rigid.sweep import table as table_module
 from warp_rigid.sweep.table import SweepResult, write
 
@@ -52,14 +52,20 @@ def test_tables_are_read_by_all(tmp_path):
     assert back.replay(back.rows[0], ball, "cpu").get("position")[0, 1].tolist() == [0, 0, 1]
 
 
-def test_what_made_the_table_is_told_beside_it(tmp_path):
+def test_what_made_the_table_is_told_beside_it(tmp_path, monkeypatch):
+    """The commit is that of git, which is asked here without a limit on its time."""
+    asked = []
+    monkeypatch.setattr(execution, "_commit", execution._commit.__wrapped__)
+    monkeypatch.setattr(execution, "git", lambda *arguments: asked.append(arguments) or "0123-dirty")
     quick(AXES, output=tmp_path / "t.parquet", seed=4, command=["warp-rigid", "sweep"], fixed={"mass": 2.0})
     about = json.loads((tmp_path / "t.parquet.json").read_text())
     assert about["version"] == wr.__version__ and set(about["versions"]) == {"python", "warp", "numpy"}
     assert about["design"]["axes"] == AXES and about["design"]["seed"] == 4
     assert about["command"] == ["warp-rigid", "sweep"] and about["fixed"] == {"mass": 2.0}
-    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
-    assert not head or about["commit"].removesuffix("-dirty") == head
+    assert about["commit"] == "0123-dirty"
+    commands = (["git", *asked[0]], ["git", "rev-parse", "HEAD"])
+    told = [subprocess.run(each, cwd=ROOT, capture_output=True, text=True).stdout.strip() for each in commands]
+    assert told[0].removesuffix("-dirty") == told[1]
     assert about["state"] == "finished" and about["runs"] == 6
 
 

@@ -152,16 +152,16 @@ def sweep(
     with WorkerProcesses(workers) if cluster == "local" else nullcontext(cluster) as runner:
         with watch.of("plan"):
             all_runs = make_runs(job, make_points(clean, design, samples, repeats, seed or 0), seed)
-        runs = shard_of(all_runs, shard)
-        _check_names(job, all_runs)
-        axis_values = {name: axis if isinstance(axis, list) else repr(axis) for name, axis in clean.items()}
-        about = _about(job, scene, axis_values, all_runs) | {
-            "design": {"kind": design, "samples": samples, "repeats": repeats, "seed": seed, "axes": axis_values},
-            "design_id": stable_hash([run.id for run in all_runs]),
-            "runs": len(all_runs),
-            "shard": shard,
-            "command": list(command) if command is not None else None,
-        }
+            runs = shard_of(all_runs, shard)
+            _check_names(job, all_runs)
+            axis_values = {name: axis if isinstance(axis, list) else repr(axis) for name, axis in clean.items()}
+            about = _about(job, scene, axis_values, all_runs) | {
+                "design": {"kind": design, "samples": samples, "repeats": repeats, "seed": seed, "axes": axis_values},
+                "design_id": stable_hash([run.id for run in all_runs]),
+                "runs": len(all_runs),
+                "shard": shard,
+                "command": list(command) if command is not None else None,
+            }
         with watch.of("write"):
             book = ResultFile(output, about, resume, overwrite, source=scene)
             missing = book.missing(runs)
