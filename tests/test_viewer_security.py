@@ -109,12 +109,14 @@ def drain(page):
 
 
 def open_page(served, **options):
-    """A WebSocket that counts as an open page."""
+    """A WebSocket that counts as an open page, and that the viewer no longer waits for: it logs that in a thread."""
     page = served.socket(**options)
     threading.Thread(target=drain, args=(page,), daemon=True).start()
     before = len(served.viewer.server.get_clients())
     page.send(msgspec.msgpack.encode(CAMERA))
     until(lambda: len(served.viewer.server.get_clients()) > before)
+    if isinstance(served.viewer, LiveViewer):
+        until(lambda: served.viewer._loaded.issuperset(served.viewer.server.get_clients()))
     return page
 
 
