@@ -8,6 +8,8 @@ ROBOTS := $(VENV)/robots
 ROBOTS_READY := $(VENV)/.robots-ready
 FRAMEWORKS_READY := $(VENV)/.frameworks-ready
 OUT := out
+# The tests start hundreds of processes, each of which would compile all Python files anew.
+export PYTHONDONTWRITEBYTECODE :=
 # A lock is installed as it is: it holds every need, so that nothing is looked up, and a later version changes nothing.
 # uv takes a tenth of the time of pip. It knows neither the settings nor the indexes of pip, which follows where uv fails.
 PIP := -m pip
