@@ -19,21 +19,28 @@ def distance_to_triangles(points, triangles):
     return in_portions(_distance_to_triangles, points, triangles)
 
 
-def _distance_to_triangles(point, triangles):
+def _distance_to_triangles(points, triangles):
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    height = np.einsum("pmi,mi->pm", point - a, normal)
+    height = np.abs(_along(points, a, normal))
     inside = np.ones(height.shape, dtype=bool)
     nearest = np.full(height.shape, np.inf)
     for start, end in ((a, b), (b, c), (c, a)):
-        side, arm = end - start, point - start
+        side = end - start
         # the side's outward normal in the triangle's plane decides inside or not
-        inside &= np.einsum("pmi,mi->pm", arm, np.cross(normal, side)) >= 0.0
-        along = np.einsum("pmi,mi->pm", arm, side) / np.einsum("mi,mi->m", side, side)
-        gap = arm - np.clip(along, 0.0, 1.0)[:, :, None] * side
-        nearest = np.minimum(nearest, np.sqrt(np.einsum("pmi,pmi->pm", gap, gap)))
-    return np.where(inside, np.abs(height), nearest).min(axis=1)
+        inside &= _along(points, start, np.cross(normal, side)) >= 0.0
+        along = np.clip(_along(points, start, side) / (side * side).sum(axis=1), 0.0, 1.0)
+        square = np.zeros(height.shape)
+        for i in range(3):
+            square += (points[:, i, None] - start[:, i] - along * side[:, i]) ** 2
+        nearest = np.minimum(nearest, square)
+    return np.where(inside, height, np.sqrt(nearest)).min(axis=1)
+
+
+def _along(points, start, direction):
+    """Products of each point, as seen from `start`, and a direction, (p, m)."""
+    return sum((points[:, i, None] - start[:, i]) * direction[:, i] for i in range(3))
 
 
 def random_surface_points(vertices, faces, count, generator):

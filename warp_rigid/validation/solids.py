@@ -83,10 +83,9 @@ def wedge() -> Triangles:
 
 
 def in_portions(function, points, triangles):
-    """Apply a function of (p, 1, 3) points and (m, 3, 3) triangles to points, in portions that fit into a cache."""
+    """Apply a function of (p, 3) points and (m, 3, 3) triangles to points, in portions that fit into a cache."""
     portion = max(1, 20_000 // len(triangles))
-    parts = [points[i : i + portion, None] for i in range(0, len(points), portion)]
-    return np.concatenate([function(part, triangles) for part in parts])
+    return np.concatenate([function(points[i : i + portion], triangles) for i in range(0, len(points), portion)])
 
 
 def winding(points, triangles):
@@ -94,10 +93,15 @@ def winding(points, triangles):
     return in_portions(_winding, points, triangles)
 
 
-def _winding(point, triangles):
-    a, b, c = (triangles[:, corner] - point for corner in range(3))
-    la, lb, lc = (np.sqrt(np.einsum("pmi,pmi->pm", v, v)) for v in (a, b, c))
-    ab, bc, ca = (np.einsum("pmi,pmi->pm", v, w) for v, w in ((a, b), (b, c), (c, a)))
-    top = np.einsum("pmi,pmi->pm", a, np.cross(b, c))
+def _winding(points, triangles):
+    # Each component is an array of its own: NumPy is slow along axes of three elements.
+    a, b, c = ([triangles[:, corner, i] - points[:, i, None] for i in range(3)] for corner in range(3))
+    la, lb, lc = (np.sqrt(_dot(v, v)) for v in (a, b, c))
+    ab, bc, ca = _dot(a, b), _dot(b, c), _dot(c, a)
+    top = _dot(a, [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]])
     bottom = la * lb * lc + ab * lc + bc * la + ca * lb
     return 2.0 * np.arctan2(top, bottom).sum(axis=1) / (4.0 * np.pi)
+
+
+def _dot(v, w):
+    return v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
