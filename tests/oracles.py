@@ -129,6 +129,8 @@ class ContactProblem:
             arm = self.contacts["position"] + sign * apart[:, None] * normal - self.center[body]
             self.jacobian[each, :, body, :3] = sign * basis
             self.jacobian[each, :, body, 3:] = sign * np.cross(arm[:, None, :], basis)
+        # What surfaces do beyond the velocities of the bodies counts as a bias along the normal and both tangents.
+        self.surface = np.einsum("cki,ci->ck", basis, self.contacts["surface"].astype(np.float64))
         self.bias = self.contacts["bias_velocity"].astype(np.float64)
         self.inverse_mass_matrix = np.zeros((rows, 6, 6))
         self.inverse_mass_matrix[:, range(3), range(3)] = self.inverse_mass[:, None]
@@ -148,7 +150,7 @@ class ContactProblem:
 
     def slip(self, velocity):
         """Relative velocities at the contacts, (contacts, 3)."""
-        return np.einsum("ckbi,bi->ck", self.jacobian, velocity)
+        return np.einsum("ckbi,bi->ck", self.jacobian, velocity) + self.surface
 
     def change(self, impulse):
         """Velocity change that impulses (contacts, 3) make, (bodies, 6)."""
@@ -165,7 +167,8 @@ class ContactProblem:
         kinetic = 0.5 * np.einsum("bi,bij,bj->", velocity[moving], mass, velocity[moving])
         a, b = self.contacts["body_a"], self.contacts["body_b"]
         counted = np.isin(a, moving) | np.isin(b, moving)
-        return kinetic + float((self.bias * impulse[:, 0])[counted].sum())
+        biased = self.bias * impulse[:, 0] + np.einsum("ck,ck->c", self.surface, impulse)
+        return kinetic + float(biased[counted].sum())
 
     def coulomb_residual(self, velocity, impulse):
         """How far each contact is from Coulomb's law [m/s]: zero exactly at a solution.

@@ -110,7 +110,8 @@ def test_the_share_taken_is_the_best_along_the_way(device):
             mass = np.linalg.inv(problem.inverse_mass_matrix[rows])
             counted = np.isin(problem.contacts["body_a"], rows) | np.isin(problem.contacts["body_b"], rows)
             slope = np.einsum("bi,bij,bj->", velocity[rows], mass, change[0][rows])
-            slope += (problem.bias * change[1][:, 0])[counted].sum()
+            biased = problem.bias * change[1][:, 0] + np.einsum("ck,ck->c", problem.surface, change[1])
+            slope += biased[counted].sum()
             bend = np.einsum("bi,bij,bj->", change[0][rows], mass, change[0][rows])
             if bend < 1e-6:
                 continue

@@ -102,3 +102,39 @@ def turn_of_surface(b: int, spin: wp.vec3, dt: float, shapes: Shapes, bodies: Bo
         axis = axis_of(b, shapes, bodies, state)
         turn = turn * wp.quat_from_axis_angle(axis, -dt * wp.dot(spin, axis))
     return turn
+
+
+@wp.func
+def rim_after(arm: wp.vec3, normal: wp.vec3, axis: wp.vec3, turned: wp.vec3):
+    """Where the rim of a cylinder touches a plane after its axis has turned; it touches it at `arm` now.
+
+    Both are relative to the middle of the cylinder. Where `arm` is not the end of the rim, or where that moves fast, as
+    on a coin that lies nearly flat, the point of the rim turns with the axis.
+    """
+    along = wp.dot(arm, axis)
+    out = wp.normalize(arm - along * axis)
+    down = wp.normalize(wp.dot(normal, turned) * turned - normal)
+    lowest = wp.dot(out, wp.normalize(wp.dot(normal, axis) * axis - normal)) > 0.99
+    if lowest and wp.dot(out, down) > 0.9:
+        return along * turned + wp.length(arm - along * axis) * down
+    return wp.quat_rotate(wp.quat_between_vectors(axis, turned), arm)
+
+
+@wp.func
+def arm_after(b: int, arm: wp.vec3, normal: wp.vec3, turn: wp.quat, shapes: Shapes, bodies: Bodies, state: State):
+    """Where a body of one part touches a plane after a rotation, from its centre of mass [m]; `arm` is the place now.
+
+    A corner turns with the body; a ball, a capsule and the rim of a cylinder roll.
+    """
+    part = shapes.parts[shapes.shapes[bodies.shape[b]].part_start]
+    if part.kind != PartKind.SPHERE and part.kind != PartKind.CAPSULE and part.kind != PartKind.CYLINDER:
+        return wp.quat_rotate(turn, arm)
+    middle = wp.quat_rotate(state.orientation[b], part.position - bodies.center_of_mass[b])
+    after = arm + wp.quat_rotate(turn, middle) - middle
+    axis = axis_of(b, shapes, bodies, state)
+    turned = wp.quat_rotate(turn, axis)
+    if part.kind == PartKind.CAPSULE:
+        after += wp.dot(arm + part.size[0] * normal - middle, axis) * (turned - axis)
+    elif part.kind == PartKind.CYLINDER:
+        after += rim_after(arm - middle, normal, axis, turned) - (arm - middle)
+    return after

@@ -15,10 +15,10 @@ from warp_rigid.kernels.common.team import MOST_REGISTERS
 from warp_rigid.kernels.constraints.contact import (
     ANGULAR_IMPULSE,
     IMPULSE,
-    carrier_velocity,
     impulse_of,
     read_contact,
     set_impulse,
+    velocity_of_turning,
     write_contact,
 )
 from warp_rigid.kernels.constraints.records import store_constraint
@@ -179,6 +179,7 @@ def point_apart(touch: Touch, a: int, b: int, size: float, bodies: Bodies):
 
 @wp.func
 def build_row(
+    count: int,
     a: int,
     b: int,
     touch: Touch,
@@ -198,7 +199,7 @@ def build_row(
     row.arm_b = touch.position - apart - motions.center[b]
     row.gap = touch.gap
     row.bias_velocity = bias_velocity_of(touch.gap, size, dt)
-    row.surface = carrier_velocity(a, b, row.normal, dt, shapes, bodies, state, motions)
+    row.surface = velocity_of_turning(row, count, a, b, dt, shapes, bodies, state, motions)
     return with_masses(row, a, b, motions)
 
 
@@ -242,7 +243,7 @@ def build_contacts(
                 contacts.key[c] = ContactKey.GONE
             contacts.pair[c] = pair
             contacts.position[c] = touch.position
-            row = build_row(a, b, touch, dt, size, shapes, bodies, state, motions)
+            row = build_row(count, a, b, touch, dt, size, shapes, bodies, state, motions)
             write_contact(c, with_coefficients(row, a, b, rules, bodies), contacts.rows)
             start_from_history(c, pairs.last[pair], row, envs.warm_starting[env], contacts, history)
     finish(own, sharing)

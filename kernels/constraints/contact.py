@@ -18,12 +18,13 @@ from warp_rigid.kernels.common.solver_body import (
     with_angular_impulse,
     with_impulse,
 )
-from warp_rigid.kernels.common.surfaces import along_own_way, carried_share
-from warp_rigid.kernels.common.symmetry import chord_velocity, spin_of_surface
+from warp_rigid.kernels.common.surfaces import along_own_way, carried_share, runs
+from warp_rigid.kernels.common.symmetry import arm_after, chord_velocity, rotation_after, spin_of_surface
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, ContactRecord, Contacts, ImpulseRecord, Motions, Shapes, State
+from warp_rigid.kernels.tuning import CONVERGED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -73,6 +74,12 @@ def contact_velocity(row: ContactRecord, pair: BodyPair):
 
 
 @wp.func
+def separation_speed(row: ContactRecord, pair: BodyPair):
+    """Speed along the normal with which the bodies move apart at a contact [m/s]."""
+    return wp.dot(relative_velocity(row.arm_a, row.arm_b, pair), row.normal)
+
+
+@wp.func
 def chord_of_carried(
     carrier: int,
     b: int,
@@ -101,19 +108,74 @@ def chord_of_carried(
 
 
 @wp.func
-def carrier_velocity(
-    a: int, b: int, normal: wp.vec3, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions
+def rolls_on_ground(b: int, ground: int, reach: float, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions):
+    """Whether the rotation of a dynamic body counts where it touches ground that neither turns nor runs.
+
+    It does not if it is negligible, or larger than a radian in a step. `reach`: distance of the contact from the centre
+    of mass [m]. The parts of a compound roll in different ways, which are not told apart.
+    """
+    if motions.role[b] != Role.FREE or motions.role[ground] == Role.FREE or runs(ground, bodies):
+        return False
+    shape = shapes.shapes[bodies.shape[b]]
+    if shape.part_end - shape.part_start > 1 or wp.length_sq(motions.solver_bodies[ground].angular) > 0.0:
+        return False
+    spin = wp.length(motions.solver_bodies[b].angular)
+    return spin * dt < 1.0 and 0.5 * dt * spin * spin * reach > CONVERGED * motions.velocity_unit[b]
+
+
+@wp.func
+def velocity_on_ground(
+    b: int,
+    arm: wp.vec3,
+    normal: wp.vec3,
+    t: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
 ):
-    """Mean velocity in a step of the first body's frame relative to the second's, beyond that of their tangents [m/s].
+    """Velocity of a body's material where it touches ground after a time t, less that where it does now [m/s].
+
+    The velocity of a step is that in its middle. With the contact of its start, a body that rolls or tips over an edge
+    would gain or lose energy in proportion to the step. Without contact, the body turns with constant momentum.
+    """
+    spin = motions.solver_bodies[b].angular
+    turn = state.orientation[b]
+    local = wp.quat_rotate_inv(turn, spin)
+    gained = bodies.inverse_inertia[b] * wp.cross(bodies.inertia[b] * local, local)
+    after = arm_after(b, arm, normal, rotation_after(spin, t), shapes, bodies, state)
+    return wp.cross(spin, after - arm) + wp.cross(t * wp.quat_rotate(turn, gained), after)
+
+
+@wp.func
+def velocity_of_turning(
+    row: ContactRecord,
+    count: int,
+    a: int,
+    b: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+):
+    """Mean velocity of the first body's surface relative to the second's in a step, beyond that at its start [m/s].
+
+    `count`: number of contacts of the pair. With three or more, a body does not roll.
 
     A point of a kinematic body that turns moves along a chord. A body that it carries turns with it, so that the chord
     of its centre counts.
     """
+    n = row.normal
     result = wp.vec3(0.0, 0.0, 0.0)
+    if count < 3 and rolls_on_ground(a, b, wp.length(row.arm_a), dt, shapes, bodies, motions):
+        result += velocity_on_ground(a, row.arm_a, n, 0.5 * dt, shapes, bodies, state, motions)
+    if count < 3 and rolls_on_ground(b, a, wp.length(row.arm_b), dt, shapes, bodies, motions):
+        result -= velocity_on_ground(b, row.arm_b, -n, 0.5 * dt, shapes, bodies, state, motions)
     if motions.role[a] == Role.KINEMATIC:
-        result += chord_of_carried(a, b, normal, dt, shapes, bodies, state, motions)
+        result += chord_of_carried(a, b, n, dt, shapes, bodies, state, motions)
     if motions.role[b] == Role.KINEMATIC:
-        result -= chord_of_carried(b, a, normal, dt, shapes, bodies, state, motions)
+        result -= chord_of_carried(b, a, n, dt, shapes, bodies, state, motions)
     return result
 
 

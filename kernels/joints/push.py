@@ -43,7 +43,7 @@ def targets_of(entry: OrderRecord, along: BodyPair, contacts: Contacts):
     for c in range(entry.begin, entry.end):
         target = contact.read_impulse(contacts.impulses, c, contact.IMPACT_IMPULSE)[3]
         row = contact.read_contact(c, contacts.rows)
-        sums += target * wp.vec2(target, wp.dot(contact.contact_velocity(row, along), row.normal))
+        sums += target * wp.vec2(target, contact.separation_speed(row, along))
     return sums
 
 
@@ -85,7 +85,7 @@ def push_touch(c: int, visit: Visit, contacts: Contacts, joints: Joints):
     k = row.normal_a + row.normal_b
     if k <= 0.0:
         return visit
-    missing = stored[3] - wp.dot(contact.contact_velocity(row, visit.pair), row.normal)
+    missing = stored[3] - contact.separation_speed(row, visit.pair)
     new = wp.max(stored[0] + quotient(missing, k), 0.0)
     contact.set_target_impulse(c, wp.vec3(new, 0.0, 0.0), stored[3], contacts)
     visit.change = wp.max(visit.change, k * wp.abs(new - stored[0]))

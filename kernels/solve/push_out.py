@@ -24,11 +24,11 @@ from warp_rigid.kernels.common.symmetry import turn_of_surface
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
-    carrier_velocity,
-    contact_velocity,
     read_contact,
     read_impulse,
+    separation_speed,
     set_target_impulse,
+    velocity_of_turning,
 )
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import (
@@ -91,11 +91,13 @@ def wanted_speed(
     row = read_contact(c, contacts.rows)
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
-    # The rotation of the arms accounts for the chords, and a surface that runs along itself closes no gap. What the
-    # solver has changed of the chord of a carried body lies in the plane of the contact.
-    row.surface -= carrier_velocity(a, b, row.normal, dt, shapes, bodies, state, motions)
-    if wp.length_sq(row.surface) > 0.0:
+    # The rotation of the arms accounts for what turns, and a surface that runs along itself closes no gap.
+    if shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise > 0.0:
+        count = pairs.contact_start[contacts.pair[c] + 1] - pairs.contact_start[contacts.pair[c]]
+        row.surface -= velocity_of_turning(row, count, a, b, dt, shapes, bodies, state, motions)
         row.surface -= tangential_running(a, b, contacts.position[c], row.normal, dt, bodies, state, motions)
+    else:
+        row.surface = wp.vec3(0.0, 0.0, 0.0)
     size = smaller_size(a, b, shapes, bodies)
     pair = load_bodies(a, b, 0.0, 0.0, motions)
     turn_a = turn_of_surface(a, pair.angular_a, dt, shapes, bodies, state)
@@ -140,7 +142,7 @@ def push_contact(c: int, mobility_a: float, mobility_b: float, pull: wp.vec3, pa
     if k <= 0.0:
         return pair
     old = stored[0]
-    missing = target - wp.dot(contact_velocity(row, pair), row.normal)
+    missing = target - separation_speed(row, pair)
     new = wp.max(old + quotient(missing, k), 0.0)
     set_target_impulse(c, wp.vec3(new, 0.0, 0.0), target, contacts)
     pair = with_impulse_on(row, (new - old) * row.normal, mobility_a, mobility_b, pair)

@@ -13,9 +13,9 @@ from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity
 from warp_rigid.kernels.common.team import raise_to
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
-    contact_velocity,
     read_contact,
     read_impulse,
+    separation_speed,
     write_impulse,
 )
 from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
@@ -99,7 +99,7 @@ def push_contact_apart(c: int, entry: RoundRecord, beta: float, pair: BodyPair, 
     if target > 0.0:
         row = read_contact(c, contacts.rows)
         k = float(entry.sharing_a) * row.normal_a + float(entry.sharing_b) * row.normal_b
-        missing = target - wp.dot(contact_velocity(row, pair), row.normal)
+        missing = target - separation_speed(row, pair)
         new = wp.max(stored[0] + quotient(missing, k), 0.0)
         ahead = new + beta * (new - stored[1])
         write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(ahead, new, 0.0), target)

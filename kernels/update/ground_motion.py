@@ -11,7 +11,7 @@ conveyor belt or a turntable runs in its tangent plane only, and does not change
 import warp as wp
 
 from warp_rigid.kernels.common.surfaces import running_spin, runs, tangential_running
-from warp_rigid.kernels.constraints.contact import carrier_velocity
+from warp_rigid.kernels.constraints.contact import velocity_of_turning
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Contacts, Environments, Motions, Pairs, Shapes, State, Surfaces
 
@@ -116,7 +116,9 @@ def set_surface_velocity(
     v = ground_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)
     v -= ground_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
     v += tangential_running(a, b, x, contacts.rows[c].normal, dt, bodies, state, motions)
-    contacts.rows[c].surface = v + carrier_velocity(a, b, contacts.rows[c].normal, dt, shapes, bodies, state, motions)
+    row = contacts.rows[c]
+    count = pairs.contact_start[contacts.pair[c] + 1] - pairs.contact_start[contacts.pair[c]]
+    contacts.rows[c].surface = v + velocity_of_turning(row, count, a, b, dt, shapes, bodies, state, motions)
     spin = wp.dot(running_spin(a, bodies, state) - running_spin(b, bodies, state), contacts.rows[c].normal)
     contacts.rows[c].surface_spin = spin
     if wp.length_sq(v) + wp.abs(spin) > 0.0:
