@@ -337,7 +337,7 @@ def trays():
         "V109 tray of boxes that slides, mu 0.5",
         COULOMB,
         check(slice(0, len(solved))),
-        check(slice(len(solved), None), Miss(LIGHT_TRAY, 0.09)),
+        check(slice(len(solved), None), Miss(LIGHT_TRAY, 0.08)),
         of=tuple(
             Experiment(tray_of_boxes(*options), duration=0.4, dt=dt, label=label)
             for label, options in (solved | unsolved).items()
