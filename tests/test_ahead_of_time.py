@@ -1,5 +1,6 @@
 """Every kernel compiles for a GPU of compute capability 9.0 on a machine that has none."""
 
+import re
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,40 +38,55 @@ def short(unit):
     return unit.removeprefix(f"{kernels.__name__}.")
 
 
-ASSEMBLED = {module.__name__ for module in loading.TEAM_MODULES}
-"""Units with inline assembly, which only the assembler checks: it is that of `kernels/common/team.py`. The units of
-joints call the same functions, and take minutes to assemble."""
-
-SLOW = ("move_untouched", "settle_joints", "sweep_with_joints", "close_stopped")
-"""Kernels that take one to three minutes together to compile, of functions that other kernels of joints call, too."""
+ENTRY = re.compile(r"(__global__ void [^{]*\{)")
+"""The start of a kernel in CUDA."""
 
 
-def marks_of(unit, form):
-    """When a form of a unit is compiled: what is assembled needs not be compiled beside that."""
-    if unit.rpartition(".")[2] in SLOW:
-        return pytest.mark.long
-    return form if unit in ASSEMBLED else ()
+@pytest.fixture
+def only_checked(monkeypatch):
+    """Let kernels return at once: the compiler reads and checks all code, and has nothing to optimize.
 
-
-FORMS = [
-    pytest.param(unit, ptx, id=f"{short(unit)}-{name}", marks=marks_of(unit, marks))
-    for unit in UNITS
-    for ptx, name, marks in ((True, "compiled", pytest.mark.short), (False, "assembled", pytest.mark.long))
-    if ptx or unit in ASSEMBLED
-]
-
-
-@pytest.mark.parametrize(("unit", "ptx"), FORMS)
-def test_unit_compiles_for_compute_capability_90(unit, ptx):
-    """To PTX, or to the code of the GPU. Functions that only a CPU calls are inlined.
-
-    What is compiled stays in Warp's cache: units that have not changed are not compiled again.
+    The optimization takes 20 times as long as the rest, and could only reveal faults of the compiler.
     """
-    (binary,) = wp.compile_aot_module(unit, arch=ARCHITECTURE, use_ptx=ptx)
-    assert binary.suffix == (".ptx" if ptx else ".cubin")
-    content = binary.read_bytes()
-    assert [kernel for kernel in wp.get_module(unit).kernels if f"{kernel}_".encode() not in content] == []
-    assert [name for name in (b"part_distance_0", b"find_axis_0", b"leave_0") if name in content] == []
+    build = wp._src.build.build_cuda
+
+    def build_without_bodies(path, *arguments, **options):
+        source, count = ENTRY.subn(r"\1 return;", Path(path).read_text())
+        assert count > 0
+        Path(path).write_text(source)
+        build(path, *arguments, **options)
+
+    monkeypatch.setattr(wp._src.build, "build_cuda", build_without_bodies)
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=short)
+def test_unit_passes_the_compiler_for_compute_capability_90(unit, only_checked, tmp_path):
+    (binary,) = wp.compile_aot_module(unit, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=True)
+    entries = binary.read_text().split(".entry ")[1:]
+    assert [name for name in wp.get_module(unit).kernels if sum(e.startswith(f"{name}_") for e in entries) != 1] == []
+
+
+def test_inline_assembly_is_assembled(tmp_path):
+    """All that a GPU executes is in `kernels/common/team.py`, in functions that the colouring calls."""
+    assert {file.stem for file in FILES if re.search(r"\basm\b", file.read_text())} == {"team", "branching"}
+    wp.compile_aot_module(MODULES["coloring"].__name__, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=False)
+    (source,) = tmp_path.glob("*.cu")
+    instructions = set(re.findall(r'asm volatile\("[^"]+"', Path(team.__file__).read_text()))
+    assert len(instructions) == 4 and all(instruction in source.read_text() for instruction in instructions)
+
+
+@pytest.mark.parametrize(
+    ("name", "kernel", "function"),
+    [
+        ("probe", "", "part_distance"),
+        ("narrowphase", ".keep_contacts", "find_axis"),
+        ("narrowphase", ".keep_contacts", "leave"),
+    ],
+)
+def test_functions_that_only_a_cpu_calls_are_inlined(name, kernel, function):
+    """The smallest units of large functions (`inline_on_gpu`)."""
+    (binary,) = wp.compile_aot_module(MODULES[name].__name__ + kernel, arch=ARCHITECTURE, use_ptx=True)
+    assert f"{function}_0".encode() not in binary.read_bytes()
 
 
 def test_kernels_of_teams_are_compiled_for_clusters_of_blocks():
