@@ -61,6 +61,14 @@ def close_viewers_at_once(setattr: Callable) -> None:
         setattr(f"warp_rigid.viewer.{viewer}.run", lambda viewer: stop_server(viewer.server))
 
 
+def draw_small_pictures(setattr: Callable) -> None:
+    """Draw panels of a quarter of their usual width."""
+    for name in ("PICTURE_SIZE", "GIF_SIZE"):
+        setattr(f"warp_rigid.render.images.{name}", (320, 180))
+    setattr("warp_rigid.render.images.SHEET_SIZE", (160, 90))
+    setattr("warp_rigid.render.images.SMALLEST_PANEL", 80)
+
+
 def notebook_tool() -> ModuleType:
     """docs/run_notebooks.py as a module."""
     spec = importlib.util.spec_from_file_location("run_notebooks", DOCS / "run_notebooks.py")
@@ -105,7 +113,8 @@ def run_all() -> None:
 
 
 if __name__ == "__main__":
-    close_viewers_at_once(lambda target, new: mock.patch(target, new).start())
+    for change in (close_viewers_at_once, draw_small_pictures):
+        change(lambda target, new: mock.patch(target, new).start())
     write_scene_files([DOCS / "tutorials.md"], Path())
     run_all()
     print("ran all")

@@ -10,14 +10,22 @@ import pytest
 import warp as wp
 
 import warp_rigid
-from tests.pages import DOCS, ROOT, arguments_of, blocks, close_viewers_at_once, commands, write_scene_files
+from tests.pages import (
+    DOCS,
+    ROOT,
+    arguments_of,
+    blocks,
+    close_viewers_at_once,
+    commands,
+    draw_small_pictures,
+    write_scene_files,
+)
 from tests.robot_tools import robot_files
 from warp_rigid import scenes
 from warp_rigid.commands import cli
 from warp_rigid.engine import hash_grid, heaps, step
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels.joints import joint_stages
-from warp_rigid.render import images
 from warp_rigid.scene import fields
 from warp_rigid.validation import suite
 
@@ -37,14 +45,11 @@ TESTED = ("warp-rigid doctor", "warp-rigid warmup")
 """By tests/test_doctor.py."""
 PROGRAMS = blocks("python", OTHERS)
 OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigid ") and command not in TESTED]
-SMALL_PICTURES = {"PICTURE_SIZE": (320, 180), "GIF_SIZE": (320, 180), "SHEET_SIZE": (160, 90), "SMALLEST_PANEL": 80}
 
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch):
-    """Panels of a quarter of their usual width."""
-    for name, size in SMALL_PICTURES.items():
-        monkeypatch.setattr(images, name, size)
+    draw_small_pictures(monkeypatch.setattr)
 
 
 @pytest.mark.parametrize("command", OWN_COMMANDS)

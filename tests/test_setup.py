@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import pytest
 from packaging.utils import canonicalize_name
@@ -83,14 +84,19 @@ def test_the_oldest_pip_takes_what_is_locked(lock, tmp_path):
 
 @pytest.mark.long
 def test_the_documented_command_brings_all_that_the_pages_use(tmp_path):
-    """In a new environment, all commands and programs of the README, the tutorials and the notebooks run."""
-    copy = clone(tmp_path / "clone")
-    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    """In a new environment, all commands and programs of the README, the tutorials and the notebooks run.
+
+    uv reads the same requirements as pip in a tenth of the time; pip follows where uv fails, as in the Makefile.
+    """
+    copy, new = clone(tmp_path / "clone"), tmp_path / "venv" / "bin" / "python"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)
     (documented,) = [command for command in commands([copy / "README.md"]) if command.startswith("pip install ")]
-    path = f"{tmp_path / 'venv' / 'bin'}{os.pathsep}{os.environ['PATH']}"
-    environment = {**ENVIRONMENT, "PATH": path, "PIP_NO_COMPILE": "1"}
-    subprocess.run(f"{documented} --quiet", shell=True, cwd=copy, env=environment, check=True)
+    wanted = f"{documented.removeprefix('pip ')} --quiet"
+    with_uv = f"{Path(sys.executable).with_name('uv')} pip {wanted} --python {new}"
+    with_pip = f"{sys.executable} -m pip --python {new} {wanted} --no-compile"
+    subprocess.run(f"{with_uv} || {with_pip}", shell=True, cwd=copy, env=ENVIRONMENT, check=True)
     (tmp_path / "work").mkdir()
-    command = [tmp_path / "venv" / "bin" / "python", copy / "tests" / "pages.py"]
+    environment = {**ENVIRONMENT, "PATH": f"{new.parent}{os.pathsep}{os.environ['PATH']}"}
+    command = [new, copy / "tests" / "pages.py"]
     done = subprocess.run(command, cwd=tmp_path / "work", env=environment, capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.endswith("ran all\n"), done.stdout + done.stderr
