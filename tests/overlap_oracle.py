@@ -103,7 +103,7 @@ def _depth(shape, points):
         beyond = [np.linalg.norm(points[:, :2], axis=1) - shape.radius, np.abs(points[:, 2]) - shape.half_height]
         return _depth_of_slabs(np.stack(beyond, axis=1))
     if isinstance(shape, Heightfield):
-        return -shape.signed_distance(points)[0]
+        return _depth_in_field(shape, points)
     vertices, faces = shape.surface()
     triangles = vertices[faces]
     lower, upper = shape.bounds
@@ -115,6 +115,17 @@ def _depth(shape, points):
     gap = np.maximum(np.maximum(lower - points, points - upper), 0.0)
     depth[~near] = -np.linalg.norm(gap[~near], axis=1)
     return depth
+
+
+def _depth_in_field(shape, points):
+    """By the triangles that are no farther from all points than the surface straight above or below the farthest."""
+    below = shape.height_at(points[:, :2], 0.0) - points[:, 2]
+    reach = np.abs(below).max()
+    if (np.abs(points[:, :2]) + reach > 0.5 * shape.extent).any():  # the sides may be nearer
+        return -shape.signed_distance(points)[0]
+    triangles = _triangles(shape)
+    near = (triangles.max(axis=1) >= points.min(axis=0) - reach) & (triangles.min(axis=1) <= points.max(axis=0) + reach)
+    return np.sign(below) * distance_to_triangles(points, triangles[near.all(axis=1)])
 
 
 def _depth_of_slabs(beyond):
