@@ -133,16 +133,11 @@ def test_links_whose_anchor_is_switched_off_keep_their_momentum(device):
         assert np.abs(sim.get("linear_velocity")[0, 1:].mean(axis=0) - (3.0, 0.0, 1.0)).max() < 5e-6
 
 
-@pytest.mark.parametrize(
-    "scene",
-    [
-        pytest.param(partial(mechanisms.chain, 20), id="chain of 20", marks=pytest.mark.long),
-        pytest.param(partial(mechanisms.chain, 12), id="chain of 12"),
-    ],
-)
-def test_long_chains_whip_without_gain(scene, device):
-    """Their ends turn by more than a radian in a step of 1/60 s."""
-    assert mechanisms.largest_gain(trace_of(scene, device, 5.0, 60))[0] < 1e-3
+def test_a_long_chain_whips_without_gain(device):
+    """Its end turns by more than a radian in a step of 1/60 s, in eleven steps."""
+    trace = trace_of(partial(mechanisms.chain, 20), device, 3.5, 60)
+    assert (np.linalg.norm(trace.angular_velocity[:, 0], axis=-1).max(axis=1) > 60.0).sum() > 5
+    assert mechanisms.largest_gain(trace)[0] < 1e-3
 
 
 def with_friction_and_limits():
