@@ -20,7 +20,6 @@ LONGEST = (
     "ahead_of_time",
     "passive_mechanisms",
     "setup",
-    "bounds",
     "validation",
     "overlap",
     "ragdolls",

@@ -9,7 +9,7 @@ from warp_rigid.engine.model import OVERSIZED
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion, Scene
-from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Plane, Sphere
 
 
 @pytest.fixture(params=["all", "grid"])
@@ -268,3 +268,21 @@ def test_two_simulators_search_in_their_own_cells(device):
             sim.step()
     assert [sim.counts()["most_pairs"] for sim in together] == alone
     assert min(alone) > 1000
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_bodies_without_colliders_touch_nothing(device, beside):
+    """They fall freely through each other, and through a box; alone, the pool of shapes has no distance functions."""
+    nothing, scene = Compound([], (0.0, 0.0, 0.0), 0.1 * np.eye(3)), Scene()
+    for height in (1.0, 1.2):
+        scene.add_body(nothing, mass=1.0, position=(0, 0, height), linear_velocity=(1, 0, 0))
+    if beside:
+        scene.add_static(Box((1.0, 1.0, 1.0)))
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 1.1))
+    sim = Simulator(scene, device=device)
+    steps, dt = 60, sim.settings.dt
+    sim.step(steps)
+    fallen = 0.5 * 9.81 * dt**2 * steps * (steps + 1)
+    expected = [[steps * dt, 0, height - fallen] for height in (1.0, 1.2)]
+    np.testing.assert_allclose(sim.get("position")[0, :2], expected, atol=1e-5)
+    assert sim.counts()["pairs"] == beside and sim.penetration()[0] < 1e-3

@@ -1,10 +1,11 @@
 """The recipes of CONTRIBUTING.md, applied to one copy of the checkout and run there.
 
 A new recipe needs an entry of RECIPES and one test below that runs a program in the copy. The files are as many as the
-recipe states.
+recipe states. Beside them, other programs reach all kernels of the copy, which are compiled with checks of indices.
 """
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -83,10 +84,12 @@ def change(file, hunk):
 
 
 def run(copy, program, *arguments):
-    """What a program prints that imports the copy. All kernels are new: they are compiled without optimization."""
-    program = "import warp; warp.config.optimization_level = 0\n" + program
+    """What a program prints that imports the copy. All kernels are new; on a CPU they have Warp's checks."""
+    if not any("cuda" in argument for argument in arguments):
+        program = "import warp; warp.config.mode = 'debug'\n" + program
     command = [sys.executable, "-W", "ignore", "-c", program, *arguments]
-    done = subprocess.run(command, cwd=copy, capture_output=True, text=True)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}  # behind the copy
+    done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -250,3 +253,33 @@ def test_a_body_coefficient_takes_four_files(copy, device):
 def test_a_force_field_takes_three_files(copy, device):
     """Energy of a body on a spring, and its position after a second."""
     run(copy, OSCILLATOR, str(device))
+
+
+CHECKED = """
+import os
+os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])  # Warp's debug mode runs kernels on one thread only
+import numpy as np
+import warp_rigid as wr
+from tests import random_scenes
+from tests.random_scenes import act, heap, random_scene, random_settings
+
+for seed in range(4):
+    rng = np.random.default_rng(seed)
+    sim = wr.Simulator(random_scene(rng), settings=random_settings(rng), device="cpu", capacity={"contacts": 4})
+    sim.watch([None, 1])
+    for step in range(6):
+        act(sim, step, rng)
+        sim.step(12)
+        sim.penetration()
+few = wr.Settings(sleeping=True, contact_iterations=1)  # more rounds read the same places
+sim = wr.Simulator(heap(rng), settings=few, device="cpu")
+sim.step(8)
+print("read", len(sim.contacts()), "contacts of a heap")
+"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs a process on one core")
+def test_no_index_is_out_of_bounds(copy):
+    """Warp's checks end the process at the first element that is read or written outside an array, in all kernels."""
+    assert int(run(copy, CHECKED).split()[-5]) > 100
