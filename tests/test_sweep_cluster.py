@@ -102,8 +102,8 @@ def test_worker_processes_end_when_a_sweep_is_stopped(started):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        quick(AXES, batch=1, cluster="local", workers=2, on_progress=stop, **OPTIONS)
-    assert len(processes) == 2 and not any(process.is_alive() for process in processes)
+        quick(AXES, batch=1, cluster="local", workers=1, on_progress=stop, **OPTIONS)
+    assert len(processes) == 1 and not any(process.is_alive() for process in processes)
 
 
 @pytest.mark.long
