@@ -88,7 +88,7 @@ def test_a_batch_that_ends_its_processes_fails_alone():
             os._exit(3)
         return sim.get("position")[:, 1, 2]
 
-    found = quick({"height": [0.3, 1.0]}, batch=1, cluster="local", workers=2, duration=0.01, metrics=[deadly])
+    found = quick({"height": [0.3, 1.0]}, batch=1, cluster="local", workers=1, duration=0.01, metrics=[deadly])
     assert [row["status"] for row in found.rows] == ["ok", "error"]
     assert found.failed[0]["reason"].startswith("TerminatedWorkerError: A worker process")
 
