@@ -23,6 +23,7 @@ from warp_rigid.kernels.collide.contact_search import (
     slope_at,
 )
 from warp_rigid.kernels.collide.distance import BORDER
+from warp_rigid.kernels.tuning import RIM_FLAT
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -108,14 +109,15 @@ def edge_has_ends(search: Search, convex: int):
     if convex == 0 and wp.length_sq(search.facing) == 0.0:
         search = to_half(search, search.before)
     flat = flat_slope(search)
-    if not has_minimum(search.slope_low, search.slope_high, search.low[3], search.high[3], flat):
+    dips = search.slope_low < -RIM_FLAT and search.slope_high > RIM_FLAT
+    if not dips and not has_minimum(search.slope_low, search.slope_high, search.low[3], search.high[3], flat):
         return nowhere(search)
     # The edge crosses another edge instead of lying along it.
     search.crossing = wp.where(search.slope_low < -0.05 and search.slope_high > 0.05, 1, 0)
     search.turning = 0.0
-    if wp.abs(search.slope_high) <= flat:
+    if wp.abs(search.slope_high) <= flat and not dips:
         search.turning = -2.0 * flat
-    elif wp.abs(search.slope_low) <= flat:
+    elif wp.abs(search.slope_low) <= flat and not dips:
         search.turning = 2.0 * flat
     search.stage = EdgeStage.INSIDE
     return next_inside(search, False)
