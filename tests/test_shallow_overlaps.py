@@ -100,13 +100,18 @@ ROUND = {
         (-0.1118044, -0.0415651, -0.0568823),
         ((0.7250968, 0.1839068, 0.1016352, -0.6558074), (0.4976535, -0.5023249, 0.5753515, 0.4110734)),
     ),
+    "end of a capsule": (
+        (wr.Box((0.1, 0.1, 0.1)), wr.Capsule(0.05, 0.1)),
+        (-0.0338104, -0.0596948, 0.1491653),
+        ((0.9338534, -0.3572612, -0.0143451, -0.0087357), (0.1994814, -0.6679886, -0.4273458, 0.5756509)),
+    ),
 }
 """Poses of bodies that kept an overlap of 0.05 to 0.11 mm at rest."""
 
 
 @pytest.mark.parametrize("name", ROUND)
-def test_a_contact_shows_the_overlap_with_the_side_of_a_cylinder(device, name):
-    """Next to its caps, and where the other surface is almost parallel to its axis.
+def test_a_contact_shows_the_overlap_with_the_side_of_a_round_body(device, name):
+    """Next to caps, along surfaces that are almost parallel to the axis, and where a distance bends unevenly.
 
     An axis is taken to leave a face at a slope of 0.02, where it is further away by 2e-4 radii, a sixth of the overlap.
     """

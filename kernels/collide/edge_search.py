@@ -42,11 +42,11 @@ class EdgeStage(IntEnum):
     LOW = 1
     HIGH = 2
     INSIDE = 3
-    LAST_INSIDE = 9
-    CLAMPED = 10
-    FACING = 11
-    BEFORE = 12
-    AFTER = 13
+    LAST_INSIDE = 15
+    CLAMPED = 16
+    FACING = 17
+    BEFORE = 18
+    AFTER = 19
 
 
 @wp.func
@@ -184,7 +184,8 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     before = search.t
     after = narrowed(search, d, search.turning)
     search = look_at(after, before)
-    found = wp.abs(after.t - before) <= FOUND * search.half
+    level = search.turning == 0.0 and wp.abs(slope_at(search, before, d)) < 0.01 * RIM_FLAT
+    found = level or wp.abs(after.t - before) <= FOUND * search.half
     if found and is_doubtful(search, before, convex):
         after = look_beside(search, before)
         found = False
