@@ -111,8 +111,9 @@ def chord_of_carried(
 def rolls_on_ground(b: int, ground: int, reach: float, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions):
     """Whether the rotation of a dynamic body counts where it touches ground that neither turns nor runs.
 
-    It does not if it is negligible, or larger than a radian in a step. `reach`: distance of the contact from the centre
-    of mass [m]. The parts of a compound roll in different ways, which are not told apart.
+    It does not if it is negligible. If it is more than a quarter of a radian in a step, an impact within the step would
+    leave a deep overlap: bodies left closed rooms. The parts of a compound roll in different ways, which are not told
+    apart. `reach`: distance of the contact from the centre of mass [m].
     """
     if motions.role[b] != Role.FREE or motions.role[ground] == Role.FREE or runs(ground, bodies):
         return False
@@ -120,7 +121,7 @@ def rolls_on_ground(b: int, ground: int, reach: float, dt: float, shapes: Shapes
     if shape.part_end - shape.part_start > 1 or wp.length_sq(motions.solver_bodies[ground].angular) > 0.0:
         return False
     spin = wp.length(motions.solver_bodies[b].angular)
-    return spin * dt < 1.0 and 0.5 * dt * spin * spin * reach > CONVERGED * motions.velocity_unit[b]
+    return spin * dt < 0.25 and 0.5 * dt * spin * spin * reach > CONVERGED * motions.velocity_unit[b]
 
 
 @wp.func
