@@ -75,7 +75,7 @@ def test_a_refused_impulse_changes_nothing(sim, arguments, told):
         ("friction", 1e39, None, "friction: must be finite"),
         ("linear_velocity", (0, 0, np.nan), None, "linear_velocity: must be finite"),
         ("gravity", "0", None, "gravity: must be vectors of 3 numbers"),
-        ("mass", 2.0, [1, 0], "mass: plane_0 is not dynamic"),
+        ("mass", 2.0, [1, 0], "mass: must be 0 for plane_0"),
         ("mass", 1e8, [1], "mass: the heaviest dynamic body must have at most 1e.06 times the mass of the lightest"),
         ("active", 1, None, "active: must be True or False"),
         ("active", "True", None, "active: must be True or False"),

@@ -18,7 +18,7 @@ from warp_rigid.kernels.common.solver_body import (
     with_angular_impulse,
     with_impulse,
 )
-from warp_rigid.kernels.common.surfaces import along_own_way, carried_share, runs
+from warp_rigid.kernels.common.surfaces import along_own_way, carried_share
 from warp_rigid.kernels.common.symmetry import arm_after, chord_velocity, rotation_after, spin_of_surface
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
@@ -109,16 +109,17 @@ def chord_of_carried(
 
 @wp.func
 def rolls_on_ground(b: int, ground: int, reach: float, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions):
-    """Whether the rotation of a dynamic body counts where it touches ground that neither turns nor runs.
+    """Whether the rotation of a dynamic body counts where it touches ground, of which no surface turns.
 
     It does not if it is negligible. If it is more than a quarter of a radian in a step, an impact within the step would
     leave a deep overlap: bodies left closed rooms. The parts of a compound roll in different ways, which are not told
     apart. `reach`: distance of the contact from the centre of mass [m].
     """
-    if motions.role[b] != Role.FREE or motions.role[ground] == Role.FREE or runs(ground, bodies):
-        return False
     shape = shapes.shapes[bodies.shape[b]]
-    if shape.part_end - shape.part_start > 1 or wp.length_sq(motions.solver_bodies[ground].angular) > 0.0:
+    if motions.role[b] != Role.FREE or motions.role[ground] == Role.FREE or shape.part_end - shape.part_start > 1:
+        return False
+    turning = wp.length_sq(motions.solver_bodies[ground].angular)
+    if turning + wp.length_sq(bodies.surface_angular_velocity[ground]) > 0.0:
         return False
     spin = wp.length(motions.solver_bodies[b].angular)
     return spin * dt < 0.25 and 0.5 * dt * spin * spin * reach > CONVERGED * motions.velocity_unit[b]
