@@ -6,7 +6,6 @@ import warp as wp
 
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.enums import SampleKind
-from warp_rigid.kernels.schema import SampleRecord
 from warp_rigid.kernels.tuning import RIM_FLAT
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -91,12 +90,6 @@ def nowhere(search: Search):
 def is_segment(kind: int):
     """Whether the contact point of a sample is searched for along an edge or an arc."""
     return kind == SampleKind.EDGE or kind == SampleKind.ARC
-
-
-@wp.func
-def sticks_out(sample: SampleRecord):
-    """Whether balls around the sample stick out of its shape: those of a rim, and of an axis up to a cap."""
-    return sample.radius > 0.0 and wp.length_sq(sample.normal) > 0.0
 
 
 @wp.func

@@ -23,7 +23,6 @@ from warp_rigid.kernels.collide.contact_search import (
     slope_at,
 )
 from warp_rigid.kernels.collide.distance import BORDER
-from warp_rigid.kernels.tuning import RIM_FLAT
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -42,11 +41,11 @@ class EdgeStage(IntEnum):
     LOW = 1
     HIGH = 2
     INSIDE = 3
-    LAST_INSIDE = 15
-    CLAMPED = 16
-    FACING = 17
-    BEFORE = 18
-    AFTER = 19
+    LAST_INSIDE = 9
+    CLAMPED = 10
+    FACING = 11
+    BEFORE = 12
+    AFTER = 13
 
 
 @wp.func
@@ -109,15 +108,14 @@ def edge_has_ends(search: Search, convex: int):
     if convex == 0 and wp.length_sq(search.facing) == 0.0:
         search = to_half(search, search.before)
     flat = flat_slope(search)
-    dips = search.slope_low < -RIM_FLAT and search.slope_high > RIM_FLAT
-    if not dips and not has_minimum(search.slope_low, search.slope_high, search.low[3], search.high[3], flat):
+    if not has_minimum(search.slope_low, search.slope_high, search.low[3], search.high[3], flat):
         return nowhere(search)
     # The edge crosses another edge instead of lying along it.
     search.crossing = wp.where(search.slope_low < -0.05 and search.slope_high > 0.05, 1, 0)
     search.turning = 0.0
-    if wp.abs(search.slope_high) <= flat and not dips:
+    if wp.abs(search.slope_high) <= flat:
         search.turning = -2.0 * flat
-    elif wp.abs(search.slope_low) <= flat and not dips:
+    elif wp.abs(search.slope_low) <= flat:
         search.turning = 2.0 * flat
     search.stage = EdgeStage.INSIDE
     return next_inside(search, False)
@@ -184,8 +182,7 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     before = search.t
     after = narrowed(search, d, search.turning)
     search = look_at(after, before)
-    level = search.turning == 0.0 and wp.abs(slope_at(search, before, d)) < 0.01 * RIM_FLAT
-    found = level or wp.abs(after.t - before) <= FOUND * search.half
+    found = wp.abs(after.t - before) <= FOUND * search.half
     if found and is_doubtful(search, before, convex):
         after = look_beside(search, before)
         found = False

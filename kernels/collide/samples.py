@@ -11,15 +11,7 @@ import math
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach
-from warp_rigid.kernels.collide.contact_search import (
-    Search,
-    SearchStage,
-    gradient,
-    is_segment,
-    look_at,
-    nowhere,
-    sticks_out,
-)
+from warp_rigid.kernels.collide.contact_search import Search, SearchStage, gradient, is_segment, look_at, nowhere
 from warp_rigid.kernels.collide.distance import (
     BORDER,
     FAR,
@@ -260,19 +252,6 @@ def opposed(cosine: float, kind: int, other: int):
 
 
 @wp.func
-def is_on_side(found: Search, s: int, approach: wp.ref[Approach], shapes: wp.ref[Shapes]):
-    """Whether the contact of a segment that ends at a cap is on the side, and not deeper than it is below the cap.
-
-    It is of all other samples.
-    """
-    sample = read_sample(s, shapes.samples)
-    if sample.kind != SampleKind.EDGE or not sticks_out(sample):
-        return True
-    cap = wp.quat_rotate(approach.turn, sample.point + wp.length(sample.slide) * sample.normal) + approach.shift
-    return wp.dot(found.query - cap, found.normal) <= wp.min(found.distance, 0.0)
-
-
-@wp.func
 def place_sample(s: int, approach: wp.ref[Approach], weight: float, shapes: wp.ref[Shapes]):
     """Contact point of a sample; with weight 1, the distance is FAR if the sample does not oppose the surface.
 
@@ -282,7 +261,5 @@ def place_sample(s: int, approach: wp.ref[Approach], weight: float, shapes: wp.r
     found = bring_to_touch(s, approach, weight, shapes)
     other = shapes.parts[shapes.shapes[approach.shape].part_start].kind
     if weight > 0.0 and not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
-        found.distance = FAR
-    if not is_on_side(found, s, approach, shapes):
         found.distance = FAR
     return found

@@ -22,7 +22,7 @@ from warp_rigid.kernels.common.surfaces import along_own_way, carried_share
 from warp_rigid.kernels.common.symmetry import arm_after, chord_velocity, rotation_after, spin_of_surface
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
-from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.enums import PartKind, Role
 from warp_rigid.kernels.schema import Bodies, ContactRecord, Contacts, ImpulseRecord, Motions, Shapes, State
 from warp_rigid.kernels.tuning import CONVERGED
 
@@ -111,18 +111,21 @@ def chord_of_carried(
 def rolls_on_ground(b: int, ground: int, reach: float, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions):
     """Whether the rotation of a dynamic body counts where it touches ground, of which no surface turns.
 
-    It does not if it is negligible. If it is more than a quarter of a radian in a step, an impact within the step would
+    It does not if it is negligible. If it is more than a fifth of a radian in a step, an impact within the step would
     leave a deep overlap: bodies left closed rooms. The parts of a compound roll in different ways, which are not told
-    apart. `reach`: distance of the contact from the centre of mass [m].
+    apart, and corners of a mesh may stand for a curved surface. `reach`: distance of the contact from the centre of
+    mass [m].
     """
     shape = shapes.shapes[bodies.shape[b]]
     if motions.role[b] != Role.FREE or motions.role[ground] == Role.FREE or shape.part_end - shape.part_start > 1:
+        return False
+    if shapes.parts[shape.part_start].kind == PartKind.GRID:
         return False
     turning = wp.length_sq(motions.solver_bodies[ground].angular)
     if turning + wp.length_sq(bodies.surface_angular_velocity[ground]) > 0.0:
         return False
     spin = wp.length(motions.solver_bodies[b].angular)
-    return spin * dt < 0.25 and 0.5 * dt * spin * spin * reach > CONVERGED * motions.velocity_unit[b]
+    return spin * dt < 0.2 and 0.5 * dt * spin * spin * reach > CONVERGED * motions.velocity_unit[b]
 
 
 @wp.func

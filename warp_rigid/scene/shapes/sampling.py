@@ -26,7 +26,7 @@ class Samples:
 
     Attributes:
         point: (n, 3) float32, a surface point, the middle of a segment, or a circle's centre.
-        normal: (n, 3) float32, unit outward; zero where a sample has none; to the cap for an axis's last segment.
+        normal: (n, 3) float32, unit outward; zero where a sample has no direction.
         slide: (n, 3) float32, half of the segment of an EDGE, half of the length of an ARC along it, else zero.
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
