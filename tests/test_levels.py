@@ -274,7 +274,7 @@ def test_a_tilted_tower_still_rests_on_its_base(device):
 @pytest.mark.parametrize("sleeping", [False, True])
 def test_a_graph_that_has_not_changed_is_not_found_again(device, sleeping):
     """A pile comes to rest, to the same bits as one whose graph is found anew in each step, and is then disturbed."""
-    scene = random_pile(np.random.default_rng(3))
+    scene = random_pile(np.random.default_rng(5))
     reused, anew = (Simulator(scene, settings=Settings(sleeping=sleeping), device=device) for _ in range(2))
     dynamic = np.flatnonzero(moving(scene))
     found_again = []
