@@ -7,7 +7,8 @@ swept until no row changes a velocity any more. At rest the impulses of the last
 sweep is needed. A structure that topples is swept further, too, but less often: its contacts turn in each step, and
 impulses that have not converged would add energy. If a structure in motion is still far from its solution, as heavy
 boxes that slide on a light tray are, it is swept as long as one at rest, without momentum. Piles of bodies whose masses
-differ much are swept in the same way: the sweeps before converge slowly where heavy bodies are on light ones.
+differ much are swept like structures that topple: the sweeps before converge slowly where heavy bodies are on light
+ones.
 
 The sweeps of an arch of n stones reduce the error by a fraction that decreases with the fourth power of n. With the
 momentum b = (k - 1) / (k + 2) of sweep k (rounds.py), it decreases with the square of n: 27 stones need about 200
