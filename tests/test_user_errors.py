@@ -1,6 +1,8 @@
 """Errors of users' events, outcomes, metrics and observers: one line with file and line, and nothing else is lost."""
 
 import json
+import os
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from pxr import Usd
 
 import warp_rigid as wr
 from warp_rigid.commands import cli, run
+from warp_rigid.runs import user_code
 from warp_rigid.runs.runner import execute, find_scene, plan_run
 from warp_rigid.runs.user_code import UserCodeError
 
@@ -216,3 +219,14 @@ def test_a_sweep_stopped_by_an_error_tells_what_it_kept(write, tmp_path, capsys,
     *_, stopped, reason = capsys.readouterr().err.splitlines()
     assert stopped.startswith(f"stopped: {table} has the runs finished so far; to continue: warp-rigid sweep")
     assert reason == f"warp-rigid: {table}: No space left on device"
+
+
+def test_a_file_that_changes_is_read_anew(tmp_path, monkeypatch):
+    """Also within a second, and without a folder of bytecode beside it."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    file = tmp_path / "mine.py"
+    for value in (1, 2):
+        file.write_text(f"value = {value}\n")
+        os.utime(file, (1e9, 1e9))
+        assert user_code.module_of_file(file).value == value
+    assert list(tmp_path.iterdir()) == [file]

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import importlib.machinery
 import importlib.util
 import inspect
 import traceback
@@ -24,6 +25,13 @@ class UserCodeError(ValueError):
     kept: Any = None
 
 
+class _Uncached(importlib.machinery.SourceFileLoader):
+    """Compiles a file each time: bytecode beside it is stale where the file changes within a second."""
+
+    def get_code(self, fullname: str) -> Any:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def module_of_file(path: Path) -> Any:
     """Import a user's .py file as a module.
 
@@ -33,7 +41,7 @@ def module_of_file(path: Path) -> Any:
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
-    spec: Any = importlib.util.spec_from_file_location(path.stem, path)
+    spec: Any = importlib.util.spec_from_file_location(path.stem, path, loader=_Uncached(path.stem, str(path)))
     module = importlib.util.module_from_spec(spec)
     with errors_of(path):
         spec.loader.exec_module(module)
