@@ -73,6 +73,8 @@ class SampleKind(IntEnum):
     """Kind of a cluster: further places where balls touch a mesh, which in an inner corner are several."""
     ARC = 6
     """A piece of a circle; the contact point with a nonconvex shape is searched for along it."""
+    SIDE = 7
+    """The last segment of a cylinder's axis, up to a cap; the contact point is searched for as along an edge."""
 
 
 class FieldKind(IntEnum):

@@ -13,7 +13,7 @@ from warp_rigid.scene.shapes.tessellation import geodesic
 from warp_rigid.scenes.builders import meshes
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-POINT, EDGE, RIM, FACE, CAP, CORNER, ARC = SampleKind
+POINT, EDGE, RIM, FACE, CAP, CORNER, ARC, SIDE = SampleKind
 PLACES = 4
 
 
@@ -179,12 +179,17 @@ def test_cylinder_rims_points_and_sides(shape):
     cap = points * [0.0, 0.0, 1.0 / shape.half_height]
     np.testing.assert_allclose(samples.normal[arc], np.sqrt(0.5) * (outward + cap), atol=1e-6)
     np.testing.assert_allclose(samples.slide[arc], np.pi / 16 * shape.radius * np.cross(outward, cap), atol=1e-6)
-    # nothing that a sample reaches sticks out, and the side's middle is reached all around
-    edge = samples.kind == EDGE
+    # the side is reached all around: from its lines, and from all of the axis, the ends of which point to the caps
+    side = samples.kind == SIDE
+    edge = (samples.kind == EDGE) | side
     for sign in (-1.0, 0.0, 1.0):
         end = samples.point[edge] + sign * samples.slide[edge]
-        distance, _ = shape.signed_distance(end)
-        np.testing.assert_allclose(distance + samples.radius[edge], 0.0, atol=1e-6)
+        reached = np.linalg.norm(end[:, :2], axis=1) + samples.radius[edge]
+        np.testing.assert_allclose(reached, shape.radius, atol=1e-6)
+    cap = samples.point[side] + np.linalg.norm(samples.slide[side], axis=1, keepdims=True) * samples.normal[side]
+    np.testing.assert_allclose(cap, np.outer([-shape.half_height, shape.half_height], [0, 0, 1]), atol=1e-6)
+    axis = edge & (samples.radius > 0)
+    assert 2.0 * np.abs(samples.slide[axis, 2]).sum() == pytest.approx(2.0 * shape.half_height)
     # the axis of a long one ends in balls that touch the side, not the caps
     ball = samples.kind == POINT
     assert ball.sum() == (2 * PLACES if shape.half_height > shape.radius else 0)

@@ -89,7 +89,13 @@ def nowhere(search: Search):
 @wp.func
 def is_segment(kind: int):
     """Whether the contact point of a sample is searched for along an edge or an arc."""
-    return kind == SampleKind.EDGE or kind == SampleKind.ARC
+    return kind == SampleKind.EDGE or kind == SampleKind.ARC or kind == SampleKind.SIDE
+
+
+@wp.func
+def sticks_out(kind: int):
+    """Whether a ball with the radius of a sample sticks out of its shape."""
+    return kind == SampleKind.RIM or kind == SampleKind.SIDE
 
 
 @wp.func

@@ -26,7 +26,8 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
     sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
     shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
-    sphere. The faces of nonconvex shapes are needed against capsules and cylinders too: the side of these is sampled by
+    sphere. The edges of a box, and the axes of spheres and capsules, find contacts with the last segments of a cylinder's
+    side. The faces of nonconvex shapes are needed against capsules and cylinders too: the side of these is sampled by
     segments of the axis, which find one contact each, and a nonconvex shape may touch such a segment twice.
     """
     if kind == SampleKind.CORNER:
@@ -36,6 +37,8 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     if shapes.shapes[shape].convex == 0:
         return kind != SampleKind.EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind
+    if kind == SampleKind.SIDE:
+        return other == PartKind.CYLINDER or other == PartKind.GRID
     own = shapes.parts[shapes.shapes[own_shape].part_start].kind
     if own == PartKind.HEIGHTFIELD:
         return True

@@ -23,6 +23,7 @@ from warp_rigid.kernels.collide.contact_search import (
     slope_at,
 )
 from warp_rigid.kernels.collide.distance import BORDER
+from warp_rigid.kernels.tuning import RIM_FLAT
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -40,12 +41,13 @@ class EdgeStage(IntEnum):
     MIDDLE = 0
     LOW = 1
     HIGH = 2
-    INSIDE = 3
-    LAST_INSIDE = 9
-    CLAMPED = 10
-    FACING = 11
-    BEFORE = 12
-    AFTER = 13
+    HALF = 3
+    INSIDE = 4
+    LAST_INSIDE = 15
+    CLAMPED = 16
+    FACING = 17
+    BEFORE = 18
+    AFTER = 19
 
 
 @wp.func
@@ -72,50 +74,47 @@ def has_minimum(first: float, last: float, low: float, high: float, flat: float)
 
     From its slopes at the first and the last point, the distances there, and the slope that counts as flat.
     """
-    falls = first <= flat or (last > flat and low > high)
-    rises = last >= -flat or (first < -flat and high > low)
-    return falls and rises and wp.abs(last - first) >= 2.0 * flat
+    if (first < -flat and high > low) or (last > flat and low > high):
+        return True
+    return first <= flat and last >= -flat and last - first >= 2.0 * flat
 
 
 @wp.func
-def to_half(search: Search, middle: wp.vec4):
-    """Limit the search to a half of the edge with a minimum, unless its middle lies flat.
+def to_half(search: Search, t: float, middle: wp.vec4):
+    """Limit the search to a part of the edge with a minimum, from t to one of its ends, unless it lies flat there.
 
     If both have one, as where an edge lies across two bumps, to that whose end is nearer.
     """
     flat = flat_slope(search)
-    now = slope_at(search, 0.0, middle)
-    if search.left >= 0.0 or search.right <= 0.0 or wp.abs(now) <= flat:
+    now = slope_at(search, t, middle)
+    if search.left >= t or search.right <= t or wp.abs(now) <= flat:
         return search
     first = has_minimum(search.slope_low, now, search.low[3], middle[3], flat)
     last = has_minimum(now, search.slope_high, middle[3], search.high[3], flat)
     if first and (search.low[3] < search.high[3] or not last):
-        search.right = 0.0
+        search.right = t
         search.high = middle
         search.slope_high = now
     else:
-        search.left = 0.0
+        search.left = t
         search.low = middle
         search.slope_low = now
     return search
 
 
 @wp.func
-def edge_has_ends(search: Search, convex: int):
+def edge_has_ends(search: Search):
     """With both ends known, test whether the distance has an inner minimum or the edge leaves a face."""
-    search.slope_low = slope_at(search, search.left, search.low)
-    search.slope_high = slope_at(search, search.right, search.high)
-    if convex == 0 and wp.length_sq(search.facing) == 0.0:
-        search = to_half(search, search.before)
     flat = flat_slope(search)
-    if not has_minimum(search.slope_low, search.slope_high, search.low[3], search.high[3], flat):
+    dips = search.slope_low < -RIM_FLAT and search.slope_high > RIM_FLAT
+    if not dips and not has_minimum(search.slope_low, search.slope_high, search.low[3], search.high[3], flat):
         return nowhere(search)
     # The edge crosses another edge instead of lying along it.
     search.crossing = wp.where(search.slope_low < -0.05 and search.slope_high > 0.05, 1, 0)
     search.turning = 0.0
-    if wp.abs(search.slope_high) <= flat:
+    if wp.abs(search.slope_high) <= flat and not dips:
         search.turning = -2.0 * flat
-    elif wp.abs(search.slope_low) <= flat:
+    elif wp.abs(search.slope_low) <= flat and not dips:
         search.turning = 2.0 * flat
     search.stage = EdgeStage.INSIDE
     return next_inside(search, False)
@@ -182,7 +181,8 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     before = search.t
     after = narrowed(search, d, search.turning)
     search = look_at(after, before)
-    found = wp.abs(after.t - before) <= FOUND * search.half
+    level = search.turning == 0.0 and wp.abs(slope_at(search, before, d)) < 0.01 * RIM_FLAT
+    found = level or wp.abs(after.t - before) <= FOUND * search.half
     if found and is_doubtful(search, before, convex):
         after = look_beside(search, before)
         found = False
@@ -220,8 +220,17 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         return look_at(search, search.right)
     if search.stage == EdgeStage.HIGH:
         search.high = d
+        search.slope_low = slope_at(search, search.left, search.low)
+        search.slope_high = slope_at(search, search.right, search.high)
+        if convex == 0 and wp.length_sq(search.facing) == 0.0:
+            search = to_half(search, 0.0, search.before)
+            search.stage = EdgeStage.HALF
+            return look_at(search, 0.5 * (search.left + search.right))
+    if search.stage == EdgeStage.HALF:
+        search = to_half(search, search.t, d)
+    if search.stage == EdgeStage.HIGH or search.stage == EdgeStage.HALF:
         deepest = wp.where(d[3] < search.low[3], d, search.low)
-        search = edge_has_ends(search, convex)
+        search = edge_has_ends(search)
         if search.stage == SearchStage.DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
             return edge_again(search)
         if search.stage == EdgeStage.INSIDE and stays_above(search, reach + radius, convex):

@@ -252,6 +252,14 @@ def opposed(cosine: float, kind: int, other: int):
 
 
 @wp.func
+def is_on_side(found: Search, s: int, approach: wp.ref[Approach], shapes: wp.ref[Shapes]):
+    """Whether the contact of a segment that ends at a cap is on the side, and not deeper than it is below the cap."""
+    sample = read_sample(s, shapes.samples)
+    cap = wp.quat_rotate(approach.turn, sample.point + wp.length(sample.slide) * sample.normal) + approach.shift
+    return wp.dot(found.query - cap, found.normal) <= wp.min(found.distance, 0.0)
+
+
+@wp.func
 def place_sample(s: int, approach: wp.ref[Approach], weight: float, shapes: wp.ref[Shapes]):
     """Contact point of a sample; with weight 1, the distance is FAR if the sample does not oppose the surface.
 
@@ -261,5 +269,7 @@ def place_sample(s: int, approach: wp.ref[Approach], weight: float, shapes: wp.r
     found = bring_to_touch(s, approach, weight, shapes)
     other = shapes.parts[shapes.shapes[approach.shape].part_start].kind
     if weight > 0.0 and not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
+        found.distance = FAR
+    if shapes.samples[s].kind == SampleKind.SIDE and not is_on_side(found, s, approach, shapes):
         found.distance = FAR
     return found

@@ -59,7 +59,7 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shape
             edge = along
     length = wp.length(edge)
     # A little more than half; the sample at the other end covers the rest.
-    nearer = 0.505
+    nearer = 0.75
     fall = nearer * steepest
     search.stage = SearchStage.DONE
     search.query = search.way

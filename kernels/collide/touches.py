@@ -7,7 +7,7 @@ and neighbouring threads do similar work.
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach, Touch, approach_from, closing_gap, touch_of, velocity_at
-from warp_rigid.kernels.collide.contact_search import Search, gradient
+from warp_rigid.kernels.collide.contact_search import Search, gradient, sticks_out
 from warp_rigid.kernels.collide.course import Course, closing_speed, curvature_of, place_at, placed_course
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.edge_search import OPPOSED
@@ -83,7 +83,7 @@ def way_of(
     way = Way()
     way.facing = placed.normal
     way.start = placed.query
-    if shapes.samples[s].kind != SampleKind.RIM and shapes.samples[s].radius > 0.0:
+    if shapes.samples[s].radius > 0.0 and not sticks_out(shapes.samples[s].kind):
         way.radius = shapes.samples[s].radius
         way.facing = wp.vec3(0.0, 0.0, 0.0)
         way.start += way.radius * placed.direction

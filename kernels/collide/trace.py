@@ -15,7 +15,7 @@ from enum import IntEnum
 
 import warp as wp
 
-from warp_rigid.kernels.collide.contact_search import gradient, slope
+from warp_rigid.kernels.collide.contact_search import gradient, slope, sticks_out
 from warp_rigid.kernels.collide.course import Course, Passage, closing_speed, place_at
 from warp_rigid.kernels.collide.culling import matters, out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
@@ -306,6 +306,9 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
     suspect = Suspect()
     suspect.sample = s
     suspect.begin = begin
+    if s >= 0 and sticks_out(shapes.samples[s].kind):
+        suspect.sample = NoSample.CLEAR
+        return suspect
     if is_traced_edge(s, other, shapes):
         edge = read_sample(s, shapes.samples)
         p = wp.transform_point(passage.start, edge.point)
@@ -319,9 +322,6 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
         sample = read_sample(s, shapes.samples)
         p = sample.point
         radius = sample.radius
-        if sample.kind == SampleKind.RIM:
-            suspect.sample = NoSample.CLEAR
-            return suspect
     path = path_length(own, other, arm_of(own, p), passage)
     if path < ALLOWED_DEPTH * passage.size:
         suspect.sample = NoSample.CLEAR

@@ -48,7 +48,7 @@ class Cylinder(Shape):
         """For each cap a RIM, its 16 ARCs and their CAP points, and 9 FACE points; for the side, EDGE segments.
 
         The side of a cylinder longer than wide is sampled as a capsule inside it, whose end balls are clear of the
-        caps; the side of a disc by 16 lines.
+        caps; the side of a disc by 16 lines. The rest of the axis is a segment at each cap, whose normal points to it.
         """
         radius, height = self.radius, self.half_height
         angles = 2.0 * np.pi * np.arange(RIM_ARCS) / RIM_ARCS
@@ -70,6 +70,9 @@ class Cylinder(Shape):
         else:
             slide = (0.0, 0.0, height)
             collected.add(SampleKind.EDGE, radius * circle, circle, slide)
+        half = 0.5 * (height - max(axis, 0.0))
+        caps = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+        collected.add(SampleKind.SIDE, (height - half) * caps, caps, half * caps, radius)
         return collected
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:

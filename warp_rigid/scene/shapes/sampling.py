@@ -26,7 +26,7 @@ class Samples:
 
     Attributes:
         point: (n, 3) float32, a surface point, the middle of a segment, or a circle's centre.
-        normal: (n, 3) float32, unit outward; zero where a sample has no direction.
+        normal: (n, 3) float32, unit outward, of a SIDE to its cap; zero where a sample has no direction.
         slide: (n, 3) float32, half of the segment of an EDGE, half of the length of an ARC along it, else zero.
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
@@ -115,12 +115,12 @@ class SampleList:
         return {name: np.concatenate(column) for name, column in self._columns.items()}
 
     def cluster(self) -> Samples:
-        """All samples, in tight clusters of at most 32, apart: points with rims, edges, faces, arcs, further places."""
+        """All samples, in tight clusters of at most 32. Edges, faces, arcs, sides, further places are apart."""
         given = self.columns()
         kind, choice, dip = given["kind"], given["choice"], given["dip"]
         points = np.isin(kind, (SampleKind.POINT, SampleKind.RIM, SampleKind.CAP))
         families = [points & (choice <= 1)]
-        families += [kind == one for one in (SampleKind.EDGE, SampleKind.FACE, SampleKind.ARC)]
+        families += [kind == one for one in (SampleKind.EDGE, SampleKind.FACE, SampleKind.ARC, SampleKind.SIDE)]
         groups = []
         for members in map(np.flatnonzero, (*families, choice > 1)):
             if len(members):
