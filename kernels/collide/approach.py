@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.contact_search import Search
-from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.enums import PartKind, Role
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.tuning import CONTACT_DISTANCE, NEAR_REACH, PUSHED
 
@@ -155,8 +155,12 @@ def dip_of(own: int, other: int, shapes: Shapes):
     """How much nearer the crossing of unsampled edges may be than the nearest of their four ends [m].
 
     Edges of lengths l and k, whose faces form the angles a and b, cross at most min(l tan(b / 2), k tan(a / 2)) / 2
-    nearer, which is less than the geometric mean of l tan(a / 2) / 2 and k tan(b / 2) / 2.
+    nearer, which is less than the geometric mean of l tan(a / 2) / 2 and k tan(b / 2) / 2. An edge of length l crosses
+    the edge of a box or the rim of a cylinder at most l sin(45 degrees) / 2 nearer than its ends.
     """
+    kind = shapes.parts[shapes.shapes[other].part_start].kind
+    if shapes.shapes[other].convex == 1 and (kind == PartKind.BOX or kind == PartKind.CYLINDER):
+        return 0.36 * shapes.shapes[own].unsampled_length
     return wp.sqrt(shapes.shapes[own].dip * shapes.shapes[other].dip)
 
 

@@ -34,12 +34,13 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
         return has_places(shapes, shape)
     if kind == SampleKind.ARC:
         return shapes.shapes[shape].convex == 0
-    if shapes.shapes[shape].convex == 0:
-        return kind != SampleKind.EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind
-    if kind == SampleKind.SIDE:
-        return other == PartKind.CYLINDER or other == PartKind.GRID
     own = shapes.parts[shapes.shapes[own_shape].part_start].kind
+    if shapes.shapes[shape].convex == 0:
+        by_mesh = has_triangles(shapes, shape) and own == PartKind.BOX and shapes.shapes[own_shape].convex == 1
+        return kind != SampleKind.EDGE or (edges == 1 and not by_mesh)
+    if kind == SampleKind.SIDE:
+        return other == PartKind.CYLINDER
     if own == PartKind.HEIGHTFIELD:
         return True
     by_center = other == PartKind.SPHERE and shapes.shapes[own_shape].convex == 1
@@ -49,7 +50,7 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
         return edges == 1 and other != PartKind.PLANE and not by_center
     if other == PartKind.SPHERE:
         return not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
-    return shapes.shapes[own_shape].convex == 0 and (other == PartKind.CAPSULE or other == PartKind.CYLINDER)
+    return shapes.shapes[own_shape].convex == 0 and other != PartKind.PLANE
 
 
 @wp.func
@@ -108,7 +109,7 @@ def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes
         return 0
     if has_triangles(shapes, approach.shape):
         return wp.where(may_touch_mesh(center, radius, approach, shapes), 1, 0)
-    return wp.where(is_nearer(shapes, approach.shape, center, radius + approach.reach), 1, 0)
+    return wp.where(is_nearer(shapes, approach.shape, center, radius + approach.searched), 1, 0)
 
 
 @wp.func

@@ -20,6 +20,7 @@ from warp_rigid.kernels.collide.contact_search import (
     slope,
 )
 from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -30,7 +31,13 @@ ENOUGH = wp.constant(2.0e-5)
 
 @wp.func
 def may_slide(own_shape: int, shape: int, shapes: Shapes):
-    """Whether the points of a shape slide on another one: both have unsampled edges."""
+    """Whether the points of a shape with unsampled edges slide on another one: one with such edges, or a convex one.
+
+    They cannot come nearer to a plane than their ends; the distance to a sphere is searched for from its centre.
+    """
+    kind = shapes.parts[shapes.shapes[shape].part_start].kind
+    if shapes.shapes[shape].convex == 1 and kind != PartKind.PLANE and kind != PartKind.SPHERE:
+        return shapes.shapes[own_shape].dip > 0.0
     return shapes.shapes[own_shape].dip * shapes.shapes[shape].dip > 0.0
 
 
@@ -78,13 +85,13 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shape
 
 
 @wp.func
-def end_slide(search: Search):
+def end_slide(search: Search, convex: int):
     """End the slide along an edge. A crossing that was found has the normal of both edges."""
     search.stage = SearchStage.DONE
     before = gradient(search.low)
     after = gradient(search.high)
-    # Only normals of faces within 60 degrees of each other are mixed.
-    if search.distance < search.first and wp.dot(before, after) > 0.5:
+    # Only normals of faces within 60 degrees of each other, or of a convex shape, are mixed.
+    if search.distance < search.first and (convex == 1 or wp.dot(before, after) > 0.5):
         search = cross_faces(search, before, after, search.slope_high, -search.slope_low)
     return search
 
@@ -103,7 +110,7 @@ def may_fall_to(search: Search):
 def slide_next(search: Search, d: wp.vec4, size: float, convex: int):
     """The least distance on the nearer half of an edge; none if the distance falls further on."""
     if search.stage == SearchStage.SLIDE_END and slope(d, search.along) <= 0.0:
-        return end_slide(search)
+        return end_slide(search, convex)
     if d[3] < search.distance:
         search.distance = d[3]
         search.direction = gradient(d)
@@ -115,6 +122,6 @@ def slide_next(search: Search, d: wp.vec4, size: float, convex: int):
         search = look_beside(search, before)
         found = False
     if search.stage == SearchStage.SLIDE_LAST or found:
-        return end_slide(search)
+        return end_slide(search, convex)
     search.stage += 1
     return search

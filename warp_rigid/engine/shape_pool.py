@@ -172,6 +172,9 @@ def _shape_rows(entries: list[Entry], parts: list, samples: list) -> np.ndarray:
         max((part.grid.spacing for part in group if part.kind == PartKind.GRID), default=0.0) for group in parts
     ]
     rows["dip"] = [s.dip for s in samples]
+    rows["unsampled_length"] = [
+        np.linalg.norm(s.unsampled_edges, axis=1).max() if len(s.unsampled_edges) else 0.0 for s in samples
+    ]
     rows["rise"] = [shape.top_speed if moves(shape) else 0.0 for shape in shapes]
     return rows
 
