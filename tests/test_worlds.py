@@ -73,6 +73,19 @@ def test_different_scenes_have_the_bits_of_their_own_batches(device, sleeping):
     assert_alone(wr.Simulator(made, num_envs=3, settings=settings, device=device), made, 150, settings)
 
 
+@pytest.mark.parametrize("running", [{"surface_velocity": (0.4, 0.1, 0)}, {"surface_angular_velocity": (0, 0, 2)}])
+def test_belts_do_not_depend_on_moving_ground_of_others(device, running):
+    scene = wr.Scene()
+    scene.add_static(wr.Box((1.5, 1.5, 0.1)), position=(0, 0, -0.1), friction=0.5, **running)
+    for k in range(3):
+        at, spin = (0.5 * k - 0.5, 0.3, 0.2 + 0.02 * k), (3 - 2 * k, 5, 4)
+        scene.add_body(
+            wr.Capsule(0.05, 0.1), position=at, orientation=(0.5, 0.15, 0, 1), angular_velocity=spin, friction=0.6
+        )
+    made = [scene, swaying()]
+    assert_alone(wr.Simulator(made, num_envs=2, device=device), made, 60)
+
+
 def test_environments_with_and_without_a_grid_share_a_batch(device, monkeypatch):
     monkeypatch.setattr(hash_grid, "TRY_ALL_UP_TO", 3)
     made = [pile(0.1, 2), pile(0.05, 6), pile(0.2, 4)]

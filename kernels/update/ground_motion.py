@@ -101,7 +101,7 @@ def set_surface_velocity(
 ):
     """One thread per contact: velocity of moving ground, with `before` that of the last step, and of running surfaces.
 
-    It is added to that of a turning carrier.
+    It is added to that of a turning carrier. Without `before`, only contacts with moving ground change.
     """
     c = wp.tid()
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
@@ -109,7 +109,9 @@ def set_surface_velocity(
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
     rises = shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise > 0.0
-    if not (rises or runs(a, bodies) or runs(b, bodies)):
+    # Belts do not change in a step: as bodies may have turned in an impact, a second call would count only in batches
+    # in which some ground moves.
+    if not (rises or (before == 1 and (runs(a, bodies) or runs(b, bodies)))):
         return
     x = contacts.position[c]
     earlier = before * envs.collision_first[bodies.env[a]]
