@@ -49,6 +49,13 @@ def test_what_is_no_number_is_told_by_its_name(make, name, value):
         assert told_by(lambda: make(value)).startswith(f"{name}: must be ")
 
 
+@pytest.mark.parametrize("name", ["friction", "linear_velocity", "gravity"])
+def test_half_precision_infinity_is_refused(sim, name):
+    """The largest number of single precision is itself infinite in half precision, as of networks in PyTorch."""
+    infinite = np.full(3 if sim.get(name).shape[-1] == 3 else (), np.inf, np.float16)
+    assert told_by(lambda: sim.set(name, infinite)) == f"{name}: must be finite numbers, got inf"
+
+
 @pytest.mark.parametrize("limits", [(-1e39, 0.0), (0.0, 1e39), (-1e300, 1e300)])
 def test_limits_that_single_precision_cannot_hold_are_refused(limits, sim):
     """Infinite ones are allowed; larger numbers would become infinite, or NaN where they are subtracted."""

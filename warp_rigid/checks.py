@@ -127,6 +127,8 @@ def numbers_of_shape(name, value, shape):
     try:
         if array is None or array.dtype.kind not in "iuf":
             raise TypeError
+        if array.dtype == np.float16:  # in which comparisons with the bounds of single precision would be made
+            array = array.astype(np.float32)
         return np.broadcast_to(array, shape)
     except (ValueError, TypeError) as error:
         got = shown(value) if isinstance(error, TypeError) else _got_shape(value, shape)
