@@ -8,7 +8,9 @@ import pytest
 
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import PointField, UniformField
+from warp_rigid.scene.joints.kinds import SphericalJoint
 from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Sphere
 from warp_rigid.scene.shapes.base import Shape
 
 
@@ -278,3 +280,15 @@ def test_attributes_are_checked_when_they_are_set(name, value):
     with pytest.raises(ValueError, match=f"^{name}: must be "):
         setattr(scene, name, value)
     assert getattr(scene, name) == before
+
+
+def test_a_copy_and_its_original_are_named_and_extended_independently():
+    scene = Scene()
+    scene.add_body(Sphere(0.1), name="ball")
+    copied = scene.copy()
+    for one in (copied, scene):
+        added = one.add_body(Sphere(0.1), name="stone", position=(1, 0, 0))
+        one.add_joint(SphericalJoint(), added, anchor=(1, 0, 0), name="string")
+        one.add_pool(Sphere(0.1), 1, "spare")
+        assert [body.name for body in one.bodies] == ["ball", "stone", "spare_0"]
+        assert [joint.name for joint in one.joints] == ["string"] and one.pools == {"spare": [2]}

@@ -190,8 +190,9 @@ class Scene:
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""
         found = copy(self)
-        for name in ("bodies", "force_fields", "filtered_pairs", "pools", "joints", "looks"):
-            setattr(found, name, copy(getattr(self, name)))
+        for name, value in vars(self).items():
+            if isinstance(value, list | dict | set):
+                setattr(found, name, copy(value))
         return found
 
     @list_coefficients
