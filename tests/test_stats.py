@@ -120,3 +120,16 @@ def test_sleeping_islands_are_counted(device):
     assert sim.get("asleep")[0, 1:].all()
     assert (stats["islands"][0], stats["islands_asleep"][0]) == (3, 3)
     assert stats["islands_shock"][0] == stats["islands_sweeps"][0] == 0
+
+
+def test_a_reset_environment_has_had_no_step(device):
+    sim = Simulator(two_stacks(), num_envs=2, device=device)
+    fresh = sim.stats()
+    sim.step(10)
+    before = sim.stats()
+    assert (before["islands"] == 3).all() and (before["sweeps"] > 0).all()
+    sim.reset([1])
+    for name, values in sim.stats().items():
+        if not name.endswith("_used"):
+            assert values[0] == before[name][0], name
+            assert values[1] == fresh[name][1] == (name == "accepted_share"), name

@@ -472,6 +472,8 @@ class Simulator:
     def stats(self) -> dict[str, np.ndarray]:
         """Return what the solver did in the last step: arrays (envs,) by name.
 
+        After `load`, all but the numbers of pairs and contacts and the capacities are 0 until the next step.
+
         - "pairs", "contacts": numbers of pairs and contacts.
         - "islands": number of groups of dynamic bodies that contacts and joints connect. Of these, "islands_shock" were
           solved with shock propagation, "islands_sweeps" by sweeps alone, because shock propagation is off, was not

@@ -117,6 +117,9 @@ def solver_stats(world: World) -> dict[str, np.ndarray]:
     pairs, contacts = counts_of_environments(world)
     found = {"pairs": pairs, "contacts": contacts, **_island_counts(world)}
     found |= {name: world.shards.of_graph(name) for name in COUNTED}
+    # The graph of the last step before a reset is left as it is.
+    stepped = world.envs.step.numpy() > 0
+    found = {name: np.where(stepped, values, name == "accepted_share") for name, values in found.items()}
     used = world.shards.gather(_capacity_used)
     return found | {"pair_capacity_used": used[:, 0], "contact_capacity_used": used[:, 1]}
 
