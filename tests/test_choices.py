@@ -102,6 +102,22 @@ def test_masses_of_all_bodies_are_those_of_the_dynamic_ones(sim):
         wr.Simulator(scene, device="cpu").set("mass", 1.0)
 
 
+@pytest.mark.parametrize("name", ["force", "torque"])
+def test_forces_on_bodies_that_they_cannot_move_are_refused(name):
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(), name="floor")
+    scene.add_kinematic(wr.Sphere(0.1), position=(0, 0, 1), name="moon")
+    scene.add_body(wr.Sphere(0.1), position=(1, 0, 1), name="ball")
+    sim = wr.Simulator(scene, device="cpu")
+    for body, motion in (("floor", "static"), ("moon", "kinematic")):
+        told = f"^{name}: must be 0 for {body}, which is {motion}; only dynamic bodies can have one$"
+        with pytest.raises(ValueError, match=told):
+            sim.set(name, (0, 0, 1), bodies=[body, "ball"])
+    sim.set(name, (0, 0, 1))
+    np.testing.assert_array_equal(sim.get(name)[0], [[0, 0, 0], [0, 0, 0], [0, 0, 1]])
+    sim.set(name, 0, bodies=["floor", "moon"])
+
+
 def test_events_of_a_sweep_set_a_quantity_of_all_bodies_as_a_simulator_does():
     """A sweep gives its events a view of some environments."""
     scene = wr.Scene(gravity=(0, 0, 0))

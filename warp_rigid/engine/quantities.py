@@ -46,7 +46,7 @@ REMAINDER_OF = {"orientation": "orientation_remainder", "angular_velocity": "ang
 LACKED = {
     **dict.fromkeys(VELOCITIES, (Motion.STATIC,)),
     **dict.fromkeys(SURFACE_VELOCITIES, (Motion.DYNAMIC,)),
-    "mass": (Motion.STATIC, Motion.KINEMATIC),
+    **dict.fromkeys(("mass", "force", "torque"), (Motion.STATIC, Motion.KINEMATIC)),
 }
 """Quantities that are always 0 for bodies of some kinds, and these kinds."""
 

@@ -242,7 +242,8 @@ class Simulator:
             envs: different indices of environments, a slice, or a mask (envs,) of booleans; None for all.
             bodies: indices, a slice or names of the bodies, which all these environments must have; None for all
                 bodies. With None, values are ignored for bodies that an environment lacks or that cannot have them:
-                static bodies have no velocity, dynamic ones no velocity of the surface, and only dynamic ones a mass.
+                static bodies have no velocity, dynamic ones no velocity of the surface, and only dynamic ones a mass,
+                force and torque.
             joints: the same of joints, for quantities of joints. `joint_broken`, `joint_break_force` and
                 `joint_break_torque` are of all joints, all others of revolute and prismatic ones; a spherical joint has
                 `joint_upper` and `joint_damping`, too, a distance joint `joint_lower` and `joint_upper`.
