@@ -56,6 +56,18 @@ def test_half_precision_infinity_is_refused(sim, name):
     assert told_by(lambda: sim.set(name, infinite)) == f"{name}: must be finite numbers, got inf"
 
 
+def test_a_cone_in_degrees_is_refused():
+    """It would never be reached; the same holds for the argument of the joint."""
+    scene = wr.Scene()
+    scene.add_joint(wr.SphericalJoint(1.0), scene.add_body(wr.Sphere(0.1)), name="shoulder")
+    scene.add_joint(wr.RevoluteJoint((0, 0, 1), (-1, 1)), scene.add_body(wr.Sphere(0.1)), name="crank")
+    sim = wr.Simulator(scene, device="cpu")
+    told = "joint_upper: must be at most pi, or inf, for shoulder, a SphericalJoint, got 45"
+    assert told_by(lambda: sim.set("joint_upper", 45, joints="shoulder")) == told
+    sim.set("joint_upper", [np.pi, 45.0])
+    sim.set("joint_upper", np.inf)
+
+
 @pytest.mark.parametrize("limits", [(-1e39, 0.0), (0.0, 1e39), (-1e300, 1e300)])
 def test_limits_that_single_precision_cannot_hold_are_refused(limits, sim):
     """Infinite ones are allowed; larger numbers would become infinite, or NaN where they are subtracted."""

@@ -26,6 +26,9 @@ WITHOUT = ("joint_upper", "joint_max_force", "joint_break_force", "joint_break_t
 NONE = {"joint_lower": -np.inf} | dict.fromkeys(WITHOUT, np.inf)
 """The infinite values that numbers may have, which have no effect; of the others 0 has none."""
 
+WIDEST = float(np.float32(np.pi))
+"""Largest limit of a cone [rad]: a larger one, as in degrees, would have no effect."""
+
 SAME_ORIENTATION = 1.0 - 1e-6
 """Two orientations whose quaternions have a larger scalar product differ by rounding errors."""
 
@@ -97,6 +100,8 @@ def check_of_joints(name: str, entries: Sequence[JointEntry], values: Any) -> No
             raise ValueError(f"{name}: must be {none:g} for {entry.name}: a {kind} can have {known}")
         if value < 0.0 and value != none and entry.joint.coordinate in (Coordinate.CONE, Coordinate.LENGTH):
             raise ValueError(f"{name}: must be >= 0 for {entry.name}, a {kind}, got {value:g}")
+        if name == "joint_upper" and entry.joint.coordinate == Coordinate.CONE and WIDEST < value < np.inf:
+            raise ValueError(f"{name}: must be at most pi, or inf, for {entry.name}, a {kind}, got {value:g}")
 
 
 def write(world: World, name: str, value: Any, rows: np.ndarray, of_all: bool) -> None:
@@ -123,7 +128,8 @@ def write(world: World, name: str, value: Any, rows: np.ndarray, of_all: bool) -
         return
     kinds = [kind for kind, numbers in NUMBERS_OF_KIND.items() if NUMBERS[name] in numbers]
     able = np.isin(_array(world, "coordinate")[rows], kinds)
-    doubtful = np.where(able, values < 0.0, not (of_all and able.any()))
+    unlikely = (values < 0.0) | ((values > WIDEST) & (values < np.inf))
+    doubtful = np.where(able, unlikely, not (of_all and able.any()))
     if doubtful.any():
         entries, source = _entries(world)
         check_of_joints(name, [entries[index] for index in source[rows[doubtful]]], values[doubtful])
