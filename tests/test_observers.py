@@ -99,6 +99,7 @@ def status(sim):
             "observe: must be functions, .py files, names, .* got 'speed'; all names: peak_impulse, ",
         ),
         ({"observe": ["peak_impulse[a,b,c]"]}, "observe: must be functions"),
+        ({"observe": ["peak_impulse[a,a]"]}, "observe: must be functions"),
         ({"observe": ["peak_impulse[lid]"]}, "peak_impulse\\[lid\\]: no scene has the bodies lid"),
         ({"observe": ["energy", "energy"]}, "observe: energy is given twice"),
         ({"observe": 3}, "observe: must be functions, .* got 3"),

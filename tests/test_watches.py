@@ -137,7 +137,9 @@ def test_a_reset_begins_anew(device):
     assert sim.watched()["summed_impulse"][1] == kept > 0
 
 
-@pytest.mark.parametrize("watched", ["box", [], ["lid"], [("ball", "box", "ground")], [1.5], [99]])
+@pytest.mark.parametrize(
+    "watched", ["box", [], ["lid"], [("ball", "box", "ground")], [1.5], [99], [(1, 1)], [("ball", 1)]]
+)
 def test_bad_watches_are_named(watched):
     sim = wr.Simulator(drop(), device="cpu")
     with pytest.raises(ValueError, match="^watched: "):

@@ -70,4 +70,6 @@ def _bodies(scene: Scene, bodies: Any) -> tuple[int, int]:
         found.append(index if 0 <= index < len(scene.bodies) else NONE)
     if NONE in found:
         return NONE, NONE
+    if len(found) == 2 and found[0] == found[1]:
+        raise ValueError(f"watched: must be a pair of two different bodies, got {shown(bodies)}")
     return found[0], found[1] if len(found) == 2 else int(ANY)

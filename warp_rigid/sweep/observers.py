@@ -66,7 +66,7 @@ class Named(NamedTuple):
         if not PATTERN.fullmatch(self.name):
             return False
         if quantity in WATCHED:
-            return count <= 2
+            return count <= 2 and len(set(self.members)) == count
         if quantity in ENERGIES:
             return count <= 1
         return count == 1 and quantity in READABLE and owner_of(quantity) in ("bodies", "joints")
