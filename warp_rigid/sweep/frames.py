@@ -19,57 +19,42 @@ def arrow_table(result: Any) -> Any:
 def dataset(result: Any) -> Any:
     """The rows of a SweepResult as an xarray.Dataset with units."""
     xarray = need("xarray")
-    dims, coordinates, places = _grid(result) or _runs(result)
-    variables = {}
-    for name in result.names:
-        if name not in coordinates:
-            variables[name] = _variable(dims, coordinates, places, name, result.column(name))
-    found = xarray.Dataset(variables, coordinates)
+    grid = _grid(result) if result.rows else None
+    row = "row" if grid else "run"
+    found = xarray.Dataset({name: _variable(row, name, result.column(name)) for name in result.names})
+    if grid:
+        if "repeat" in grid:
+            found["repeat"] = row, found["run"].values % len(grid["repeat"])
+        # Runs that are missing are filled with NaN.
+        found = found.set_index({row: list(grid)}).unstack(row).reindex(grid).transpose(*grid, ...)
+    else:
+        found = found.set_coords([name for name in result.axes if name in found])
     for name, unit in result.units.items():
         found[name].attrs["units"] = unit
     found.attrs.update({name: result.about[name] for name in ("scene", "version") if name in result.about})
     return found
 
 
-def _variable(dims: tuple[str, ...], coordinates: dict, places: tuple, name: str, values: np.ndarray) -> tuple:
-    """A column on the dimensions: dimensions and values. The components of vectors have a dimension of their own."""
+def _variable(row: str, name: str, values: np.ndarray) -> tuple:
+    """A column: its dimensions and values. The components of vectors have a dimension of their own."""
     if values.dtype == object and len({np.shape(value) for value in values}) == 1 and np.shape(values[0]):
         values = np.array(values.tolist())
-    size = [len(coordinates[dim][1]) for dim in dims]
-    if len(values) < np.prod(size):
-        values = values.astype(float if values.dtype.kind in "iuf" else object)
-    found = np.full((*size, *values.shape[1:]), {"f": np.nan, "O": None}.get(values.dtype.kind, 0), values.dtype)
-    found[places] = values
-    inner = tuple(f"{name}_component" if k == 1 else f"{name}_component_{k}" for k in range(1, values.ndim))
-    return (*dims, *inner), found
+    inner = (f"{name}_component" if k == 1 else f"{name}_component_{k}" for k in range(1, values.ndim))
+    return (row, *inner), values
 
 
-def _runs(result: Any) -> tuple[tuple[str, ...], dict[str, Any], tuple]:
-    """One dimension, the run, with the axes as coordinates."""
-    rows = (np.arange(len(result.rows)),)
-    coordinates: dict[str, Any] = {"run": ("run", result.column("run"))}
-    for name in result.axes:
-        coordinates[name] = _variable(("run",), coordinates, rows, name, result.column(name))
-    return ("run",), coordinates, rows
-
-
-def _grid(result: Any) -> tuple[tuple[str, ...], dict[str, Any], tuple] | None:
-    """A dimension for each axis of a grid of single values, and the repeats; None for other designs."""
+def _grid(result: Any) -> dict[str, np.ndarray] | None:
+    """The values of each axis of a grid of single values, and the repeats; None for other designs."""
     design = result.about.get("design") or {}
     values = design.get("axes") or {}
     if design.get("kind") != "grid" or not values or not all(map(_is_coordinate, values.values())):
         return None
     if any(row[name] not in axis for row in result.rows for name, axis in values.items()):
         return None  # values of different types, which a file keeps as text
-    dims = tuple(values)
-    coordinates: dict[str, Any] = {name: (name, np.array(axis)) for name, axis in values.items()}
-    places = [np.array([axis.index(row[name]) for row in result.rows], int) for name, axis in values.items()]
     repeats = design.get("repeats") or 1
-    if repeats > 1:
-        dims = (*dims, "repeat")
-        coordinates["repeat"] = ("repeat", np.arange(repeats))
-        places.append(np.array([row["run"] % repeats for row in result.rows], int))
-    return dims, coordinates, tuple(places)
+    return {name: np.array(axis) for name, axis in values.items()} | (
+        {"repeat": np.arange(repeats)} if repeats > 1 else {}
+    )
 
 
 def _is_coordinate(axis: Any) -> bool:

@@ -83,26 +83,24 @@ def _lines(figure: Any, result: Any, x: str, y: str, others: list[str]) -> None:
     Over words, which have no order, the means are points and the band is a bar.
     """
     axes = figure.subplots()
-    place, height = result.column(x), result.column(y).astype(float)
-    words = not _is_number(place)
+    table = _table(result, x, y, others)
+    words = not _is_number(table["x"].to_numpy())
     if words:
-        place = np.array([str(value) for value in place.tolist()])
-    groups = _groups(result, others)
-    for rank, (label, rows) in enumerate(list(groups.items())[:MAX_LINES]):
-        stops = sorted(set(place[rows].tolist()))
-        parts = [height[rows][place[rows] == stop] for stop in stops]
-        mean, low, high = (np.array([_of(part, pick) for part in parts]) for pick in (np.mean, np.min, np.max))
-        ticks = np.arange(len(stops)) if words else np.array(stops, float)
+        table["x"] = [str(value) for value in result.column(x).tolist()]
+    groups = list(table.groupby("label", sort=False))
+    for rank, (label, rows) in enumerate(groups[:MAX_LINES]):
+        stops = rows.groupby("x")["y"].agg(["mean", "min", "max", "size"])
+        ticks = np.arange(len(stops)) if words else stops.index.to_numpy(float)
         # Decreasing widths keep coincident lines visible.
         width = 1.5 + 1.5 * max(0, min(len(groups), 4) - 1 - rank)
         style: Any = {"linestyle": "none"} if words else {"linewidth": width}
-        line = axes.plot(ticks, mean, **style, marker="o", markersize=2.0 * width, label=label)[0]
+        line = axes.plot(ticks, stops["mean"], **style, marker="o", markersize=2.0 * width, label=label)[0]
         color = line.get_color()
         if words:
-            axes.vlines(ticks, low, high, color=color, alpha=0.3, linewidth=2.0 * width)
-            axes.set_xticks(ticks, stops)
-        elif any(len(part) > 1 for part in parts):
-            axes.fill_between(ticks, low, high, color=color, alpha=0.15, linewidth=0)
+            axes.vlines(ticks, stops["min"], stops["max"], color=color, alpha=0.3, linewidth=2.0 * width)
+            axes.set_xticks(ticks, stops.index)
+        elif (stops["size"] > 1).any():
+            axes.fill_between(ticks, stops["min"], stops["max"], color=color, alpha=0.15, linewidth=0)
     axes.set(xlabel=_label(result, x), ylabel=_label(result, y), title=_title(result))
     axes.grid(alpha=0.3)
     if len(groups) > 1:
@@ -111,20 +109,16 @@ def _lines(figure: Any, result: Any, x: str, y: str, others: list[str]) -> None:
 
 def _heat_maps(figure: Any, result: Any, x: str, along: str, y: str, others: list[str]) -> None:
     """One panel per combination of the other axes, with a common colour scale."""
-    groups = _groups(result, others)
-    columns, rows, values = result.column(x), result.column(along), result.column(y).astype(float)
-    across, up = np.unique(columns), np.unique(rows)
+    table = _table(result, x, y, others, along)
+    groups = list(table.groupby("label", sort=False))
+    across, up = np.unique(table["x"]), np.unique(table["along"])
     figure.set_size_inches(1.2 + 3.6 * len(groups), 3.6)
     image: Any = None
     panels = figure.subplots(1, len(groups), squeeze=False, sharex=True, sharey=True)[0]
-    finite = values[np.isfinite(values)]
-    shades = {"vmin": finite.min(), "vmax": finite.max()} if len(finite) else {}
-    for panel, (label, chosen) in zip(panels, groups.items(), strict=True):
-        cells = np.full((len(up), len(across)), np.nan)
-        for i, v in enumerate(up):
-            for j, h in enumerate(across):
-                cells[i, j] = _of(values[chosen & (rows == v) & (columns == h)], np.mean)
-        image = panel.pcolormesh(_edges(across), _edges(up), cells, **shades)
+    shades = {"vmin": table["y"].min(), "vmax": table["y"].max()} if table["y"].count() else {}
+    for panel, (label, rows) in zip(panels, groups, strict=True):
+        cells = rows.groupby(["along", "x"])["y"].mean().unstack().reindex(index=up, columns=across)
+        image = panel.pcolormesh(_edges(across), _edges(up), cells.to_numpy(), **shades)
         panel.set(xlabel=_label(result, x), title=label)
     panels[0].set_ylabel(_label(result, along))
     figure.colorbar(image, ax=list(panels), label=_label(result, y))
@@ -156,17 +150,13 @@ def _label(result: Any, name: str) -> str:
     return f"{name} [{unit.replace('^2', '²').replace('^3', '³')}]" if unit else name
 
 
-def _groups(result: Any, names: list[str]) -> dict[str, np.ndarray]:
-    """Row masks grouped and labelled by the values of some axes, in the order of the design."""
-    words = [[f"{x:.4g}" if isinstance(x := row[name], float) else str(x) for name in names] for row in result.rows]
-    labels = [", ".join(row) for row in words]
-    return {label: np.array([other == label for other in labels]) for label in dict.fromkeys(labels)}
-
-
-def _of(values: np.ndarray, pick: Any) -> float:
-    """A statistic of the finite values; NaN if there are none."""
-    finite = values[np.isfinite(values)]
-    return float(pick(finite)) if len(finite) else np.nan
+def _table(result: Any, x: str, y: str, others: list[str], along: str | None = None) -> Any:
+    """A pandas.DataFrame of two axes and finite values of a metric, with a label by the values of the other axes."""
+    values = result.column(y).astype(float)
+    columns = {"x": result.column(x), "y": np.where(np.isfinite(values), values, np.nan)}
+    columns |= {"along": result.column(along)} if along else {}
+    words = [[f"{v:.4g}" if isinstance(v := row[name], float) else str(v) for name in others] for row in result.rows]
+    return need("pandas").DataFrame({**columns, "label": [", ".join(row) for row in words]})
 
 
 def _edges(centers: np.ndarray) -> np.ndarray:

@@ -224,8 +224,5 @@ def _in_order(tables: list[Any]) -> Any:
     if not tables:
         return pyarrow.table({"run": pyarrow.array([], pyarrow.int64()), "time": pyarrow.array([], pyarrow.float64())})
     table = pyarrow.concat_tables(tables, promote_options="permissive")
-    run, time = (table.column(name).to_numpy() for name in ("run", "time"))
-    order = np.lexsort((time, run))
-    run, time = run[order], time[order]
-    first = np.concatenate([[True], (run[1:] != run[:-1]) | (time[1:] != time[:-1])])
-    return table.take(order[first])
+    _, first = np.unique([table.column(name).to_numpy() for name in ("run", "time")], axis=1, return_index=True)
+    return table.take(first)
