@@ -15,7 +15,7 @@ from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes import inner_balls
-from warp_rigid.scene.shapes.mass_properties import MassProperties, no_solid
+from warp_rigid.scene.shapes.mass_properties import MassProperties, diagonal
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree
 from warp_rigid.threads import exclusive
@@ -60,19 +60,22 @@ class Part:
 class Shape:
     """Base of all shapes: immutable, compared by content.
 
-    A subclass of analytic shape lists its `parameters` and defines `mass_properties`, `support`, `parts` (one analytic
-    part), `sample_list` and `surface`. A subclass with other data also overrides `signed_distance`, `_content`,
-    `to_data` and `from_data`. The distance itself is a device function in `warp_rigid.kernels.collide.distance`.
+    A subclass of analytic shape lists its `parameters` with the `part_kind` that has these numbers, and defines
+    `mass_properties`, `support`, `sample_list` and `surface`. A subclass with other data also overrides `parts`,
+    `signed_distance`, `_content`, `to_data` and `from_data`. The distance itself is a device function in
+    `warp_rigid.kernels.collide.distance`.
 
     Attributes:
         classes: all subclasses by their name in saved scenes, which is the class name in lower case.
         parameters: the constructor's parameters, each a number or a vector kept in the attribute of that name.
+        part_kind: kind of the part of an analytic shape.
         static_only: whether dynamic bodies cannot have this shape.
         image: path of the image that its bodies show by default; None without.
     """
 
     classes: ClassVar[dict[str, type["Shape"]]] = {}
     parameters: ClassVar[tuple[str, ...]] = ()
+    part_kind: ClassVar[PartKind]
     static_only = False
     image: str | None = None
 
@@ -129,7 +132,7 @@ class Shape:
     def mass_properties(self) -> MassProperties:
         """Volume, centre of mass and inertia at unit density; zero for a shape that dynamic bodies cannot have."""
         if self.static_only:
-            return no_solid()
+            return diagonal(0.0, np.zeros(3))
         raise NotImplementedError
 
     def support(self, directions: np.ndarray) -> np.ndarray:
@@ -173,8 +176,9 @@ class Shape:
         return analytic_distance(part, point_array(points))
 
     def parts(self) -> list[Part]:
-        """Parts whose union is the shape."""
-        raise NotImplementedError
+        """Parts whose union is the shape; by default one, whose numbers are the parameters."""
+        numbers = np.hstack([getattr(self, name) for name in self.parameters]).tolist()
+        return [Part(self.part_kind, (*numbers, *(0.0,) * (4 - len(numbers))))]
 
     def sample_list(self) -> SampleList:
         """Points, edges and rims of the surface that are tested against other shapes, ungrouped."""

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from warp_rigid.checks import finite_vector, shown
 from warp_rigid.scene.shapes import mass_properties, tessellation
-from warp_rigid.scene.shapes.base import Part, PartKind, Shape, frozen_array
+from warp_rigid.scene.shapes.base import PartKind, Shape, frozen_array
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
 
 FEWEST_EDGE_PIECES, MOST_EDGE_PIECES = 4, 16
@@ -18,6 +18,7 @@ class Box(Shape):
     """Cuboid around the origin, its sides along the axes."""
 
     parameters = ("half_extents",)
+    part_kind = PartKind.BOX
 
     def __init__(self, half_extents: ArrayLike):
         """Make a box.
@@ -33,15 +34,13 @@ class Box(Shape):
     @cached_property
     def mass_properties(self):
         """Closed form."""
-        return mass_properties.box(self.half_extents)
+        x, y, z = self.half_extents.tolist()
+        volume = 8.0 * x * y * z
+        return mass_properties.diagonal(volume, np.array([y * y + z * z, x * x + z * z, x * x + y * y]) * volume / 3.0)
 
     def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over the box."""
         return np.abs(directions) @ self.half_extents
-
-    def parts(self) -> list[Part]:
-        """One BOX."""
-        return [Part(PartKind.BOX, (*self.half_extents.tolist(), 0.0))]
 
     def sample_list(self) -> SampleList:
         """8 vertices, 9 FACE points per face, and 4 to 16 EDGE segments per edge, half as long as the box is wide."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.scene.shapes import mass_properties, tessellation
-from warp_rigid.scene.shapes.base import Part, PartKind, Shape
+from warp_rigid.scene.shapes.base import PartKind, Shape
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleList
 
 SURFACE_SECTIONS = 32
@@ -16,6 +16,7 @@ class Capsule(Shape):
     """Cylinder about z with round ends: all points within `radius` of a segment."""
 
     parameters = ("radius", "half_height")
+    part_kind = PartKind.CAPSULE
 
     def __init__(self, radius: float, half_height: float):
         """Make a capsule.
@@ -36,10 +37,6 @@ class Capsule(Shape):
         """Largest `direction . x` over the capsule."""
         along = np.abs(directions[:, 2]) * self.half_height
         return along + self.radius * np.linalg.norm(directions, axis=1)
-
-    def parts(self) -> list[Part]:
-        """One CAPSULE."""
-        return [Part(PartKind.CAPSULE, (self.radius, self.half_height, 0.0, 0.0))]
 
     def sample_list(self) -> SampleList:
         """Two balls at the ends and EDGE segments along the axis, all with the capsule's radius."""

@@ -7,7 +7,7 @@ import numpy as np
 from warp_rigid.checks import number_in
 from warp_rigid.kernels.schema import RIM_ARCS
 from warp_rigid.scene.shapes import mass_properties, tessellation
-from warp_rigid.scene.shapes.base import Part, PartKind, Shape
+from warp_rigid.scene.shapes.base import PartKind, Shape
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
 
 CLEAR_OF_CAP = 1.02
@@ -19,6 +19,7 @@ class Cylinder(Shape):
     """Cylinder about z with flat ends."""
 
     parameters = ("radius", "half_height")
+    part_kind = PartKind.CYLINDER
 
     def __init__(self, radius: float, half_height: float):
         """Make a cylinder.
@@ -39,10 +40,6 @@ class Cylinder(Shape):
         """Largest `direction . x` over the cylinder."""
         along = np.abs(directions[:, 2]) * self.half_height
         return along + self.radius * np.linalg.norm(directions[:, :2], axis=1)
-
-    def parts(self) -> list[Part]:
-        """One CYLINDER."""
-        return [Part(PartKind.CYLINDER, (self.radius, self.half_height, 0.0, 0.0))]
 
     def sample_list(self) -> SampleList:
         """For each cap a RIM, its 16 ARCs and their CAP points, and 9 FACE points; for the side, EDGE segments.

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_rigid.checks import finite_vector, number_array, number_in, shown
-from warp_rigid.scene.shapes import tessellation
+from warp_rigid.scene.shapes import tessellation, topology
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
+
+ON_SURFACE = 1e-9
+"""Distance from the surface, relative to the size, within which the direction is that of the triangle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,13 +173,13 @@ class Heightfield(Shape):
     def _distance_within(self, points):
         """Distance within the rectangle, to the upper surface only."""
         vertices, faces = self._surface_at(self.heights_at(0.0))
-        corners = vertices[faces]
-        portion = max(1, 20_000 // len(corners))
-        found = [_to_triangles(points[k : k + portion], corners) for k in range(0, len(points), portion)]
-        arm, normal, inner = (np.concatenate(column) for column in zip(*found, strict=True))
+        portion = max(1, 20_000 // len(faces))
+        found = [_to_triangles(points[k : k + portion], vertices[faces]) for k in range(0, len(points), portion)]
+        arm, nearest = (np.concatenate(column) for column in zip(*found, strict=True))
+        normal = topology.face_normals(vertices, faces)[0][nearest]
         length = np.linalg.norm(arm, axis=1)
         under = points[:, 2] < self.height_at(points[:, :2], 0.0)
-        flat = inner | (length < 1e-12)
+        flat = length < ON_SURFACE * float(np.ptp(vertices, axis=0).max())
         distance = np.where(flat, np.einsum("ij,ij->i", arm, normal), np.where(under, -length, length))
         direction = np.where(flat[:, None], normal, arm / np.where(flat, 1.0, distance)[:, None])
         return distance, direction
@@ -238,22 +241,10 @@ def moves(shape: Shape) -> TypeGuard[Heightfield]:
 
 
 def _to_triangles(points, corners):
-    """For each point the vector from the nearest triangle, its normal, and whether it starts inside the triangle."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    normal = np.cross(b - a, c - a)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    best_arm = np.einsum("pmk,mk->pm", points[:, None] - a, normal)[..., None] * normal
-    inner = np.ones(best_arm.shape[:2], dtype=bool)
-    nearest = np.full(inner.shape, np.inf)
-    side_arm = np.zeros_like(best_arm)
-    for start, end in ((a, b), (b, c), (c, a)):
-        side, arm = end - start, points[:, None] - start
-        inner &= np.einsum("pmk,mk->pm", arm, np.cross(normal, side)) >= 0.0
-        along = np.clip(np.einsum("pmk,mk->pm", arm, side) / np.einsum("mk,mk->m", side, side), 0.0, 1.0)
-        arm = arm - along[..., None] * side
-        square = np.einsum("pmk,pmk->pm", arm, arm)
-        side_arm = np.where((square < nearest)[..., None], arm, side_arm)
-        nearest = np.minimum(nearest, square)
-    best_arm = np.where(inner[..., None], best_arm, side_arm)
-    rows, chosen = np.arange(len(points)), np.einsum("pmk,pmk->pm", best_arm, best_arm).argmin(axis=1)
-    return best_arm[rows, chosen], normal[chosen], inner[rows, chosen]
+    """For each point the vector from the nearest of some triangles (m, 3, 3), and the index of that one."""
+    from trimesh.triangles import closest_point
+
+    place = closest_point(np.tile(corners, (len(points), 1, 1)), np.repeat(points, len(corners), axis=0))
+    arm = points[:, None] - place.reshape(len(points), -1, 3)
+    nearest = np.einsum("pmk,pmk->pm", arm, arm).argmin(axis=1)
+    return arm[np.arange(len(points)), nearest], nearest

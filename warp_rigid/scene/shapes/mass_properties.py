@@ -28,22 +28,10 @@ def diagonal(volume: float, moments) -> MassProperties:
     return MassProperties(float(volume), np.zeros(3), inertia)
 
 
-def no_solid() -> MassProperties:
-    """A surface that encloses no volume: a plane, a height field."""
-    return diagonal(0.0, np.zeros(3))
-
-
 def sphere(radius: float) -> MassProperties:
     """Solid ball."""
     volume = 4.0 / 3.0 * math.pi * radius**3
     return diagonal(volume, np.full(3, 0.4 * volume * radius**2))
-
-
-def box(half_extents) -> MassProperties:
-    """Solid cuboid."""
-    x, y, z = (float(half) for half in half_extents)
-    volume = 8.0 * x * y * z
-    return diagonal(volume, np.array([y * y + z * z, x * x + z * z, x * x + y * y]) * volume / 3.0)
 
 
 def cylinder(radius: float, half_height: float) -> MassProperties:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from warp_rigid.checks import finite_vector, number_in, shown
 from warp_rigid.scene.shapes import tessellation
-from warp_rigid.scene.shapes.base import Part, PartKind, Shape, frozen_array
+from warp_rigid.scene.shapes.base import PartKind, Shape, frozen_array
 from warp_rigid.scene.shapes.sampling import SampleList
 
 DRAWN_HALF_WIDTH = 10.0
@@ -18,6 +18,7 @@ class Plane(Shape):
     """Half space `normal . x <= offset`; for static bodies only."""
 
     parameters = ("normal", "offset")
+    part_kind = PartKind.PLANE
     static_only = True
     size = math.inf
 
@@ -41,10 +42,6 @@ class Plane(Shape):
         along = directions @ self.normal
         norm = np.linalg.norm(directions, axis=1)
         return np.where(along > norm * (1.0 - 1e-12), norm * self.offset, math.inf)
-
-    def parts(self) -> list[Part]:
-        """One PLANE."""
-        return [Part(PartKind.PLANE, (*self.normal.tolist(), self.offset))]
 
     def sample_list(self) -> SampleList:
         """None: contacts with a plane come from the other body's samples."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.scene.shapes import mass_properties, tessellation
-from warp_rigid.scene.shapes.base import Part, PartKind, Shape
+from warp_rigid.scene.shapes.base import PartKind, Shape
 from warp_rigid.scene.shapes.sampling import SampleList
 
 
@@ -14,6 +14,7 @@ class Sphere(Shape):
     """Ball around the origin."""
 
     parameters = ("radius",)
+    part_kind = PartKind.SPHERE
 
     def __init__(self, radius: float):
         """Make a sphere.
@@ -31,10 +32,6 @@ class Sphere(Shape):
     def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over the ball."""
         return self.radius * np.linalg.norm(directions, axis=1)
-
-    def parts(self) -> list[Part]:
-        """One SPHERE."""
-        return [Part(PartKind.SPHERE, (self.radius, 0.0, 0.0, 0.0))]
 
     def sample_list(self) -> SampleList:
         """One ball at the centre."""
