@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from warp_rigid.commands import cli
-from warp_rigid.validation import report, shock_comparison, suite
+from warp_rigid.validation import report, suite
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
@@ -224,28 +224,6 @@ def test_bad_input_is_refused_before_anything_runs(capsys, monkeypatch, argument
     monkeypatch.setattr(suite, "run_suite", None)
     assert cli.main(["validate", *arguments]) == 2
     assert text in capsys.readouterr().err
-
-
-@pytest.mark.long
-def test_comparison_of_shock_alternatives(capsys, monkeypatch):
-    """One pass of 2003 holds up a tower that must fall; the default does not. Both tell it, with times."""
-    towers = [
-        one
-        for one in shock_comparison.structures(quick=True)
-        if one[1].quantity in ("leans 0.15 w", "1000 : 1 on three")
-    ]
-    monkeypatch.setattr(shock_comparison, "structures", lambda quick: towers)
-    names = ("two_pass (default)", "one_pass, cold (2003)", "off")
-    monkeypatch.setattr(shock_comparison, "SCHEMES", {name: shock_comparison.SCHEMES[name] for name in names})
-    assert cli.main(["validate", "--compare-shock", "--quick", "--device", "cpu", "--json"]) == 0
-    table = json.loads(capsys.readouterr().out)["cpu"]
-    right = {scheme: [cell["right"] for cell in cells.values()] for scheme, cells in table.items()}
-    assert right == {names[0]: [True, True], names[1]: [False, True], names[2]: [True, False]}
-    assert all(cell["milliseconds"] > 0 for cells in table.values() for cell in cells.values())
-    assert cli.main(["validate", "--compare-shock", "--quick", "--device", "cpu"]) == 0
-    out = capsys.readouterr().out
-    assert "STANDS" in out and "COLLAPSES" in out and "1 of 2" in out and "2 of 2" in out
-    assert cli.main(["validate", "--compare-shock", "-o", "anywhere"]) == 2
 
 
 def test_cases_are_listed_without_optional_packages():

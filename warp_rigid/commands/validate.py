@@ -2,14 +2,11 @@
 
 import itertools
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 import warp as wp
-from rich.markup import escape
-from rich.table import Table
 
 from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.terminal import check_outputs, console, say, say_written
@@ -28,9 +25,6 @@ def validate_command(
         str | None, typer.Option("-o", "--output", help="Folder for plots, results.json and table.md.")
     ] = None,
     as_json: AsJson = False,
-    compare_shock: Annotated[
-        bool, typer.Option("--compare-shock", help="Only compare shock propagation with its alternatives.")
-    ] = False,
     compare: Annotated[
         list[Path] | None, typer.Option(help="Only compare the verdicts of this results.json with others; repeatable.")
     ] = None,
@@ -46,10 +40,6 @@ def validate_command(
     if compare:
         return _compare_runs(compare)
     devices = [str(choose_device(name)) for name in device] if device else [str(d) for d in wp.get_devices()]
-    if compare_shock:
-        if names or output:
-            raise ValueError("--compare-shock: can only be combined with --device, --quick and --json")
-        return _compare_shock(devices, quick, as_json)
     cases = suite.all_cases(quick)
     if names:
         cases = suite.choose(cases, [name.strip() for name in names.split(",")])
@@ -91,31 +81,6 @@ def _compare_runs(paths: list[Path]) -> int:
     lines = report.agreement(checks)
     print(*lines or ["nothing to compare: the files contain verdicts of one device only"], sep="\n")
     return int(len(lines) != 1)
-
-
-def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
-    """Print one table per device: results of all schemes on all structures, with ms per step of 1/240 s in brackets."""
-    from warp_rigid.validation import shock_comparison as shock
-
-    total = len(devices) * len(shock.SCHEMES) * len(shock.structures(quick))
-    with progress("validate", total) as advance:
-        count = itertools.count(1)
-        tables = {name: shock.compare(name, quick, lambda: advance(next(count))) for name in devices}
-    if as_json:
-        results = {
-            name: {scheme: {one: asdict(cell) for one, cell in cells.items()} for scheme, cells in table.items()}
-            for name, table in tables.items()
-        }
-        print(json.dumps(results))
-        return 0
-    for name, table in tables.items():
-        heading, *lines = shock.rows(table, quick)
-        title = escape(f"{name}; in brackets: ms per step of 1/240 s")
-        printed = Table(*heading, box=None, pad_edge=False, title=title, title_justify="left")
-        for line in lines:
-            printed.add_row(*(escape(cell) for cell in line))
-        console().print(printed, highlight=False)
-    return 0
 
 
 def _write(findings: list[Any], devices: list[str], folder: Path) -> list[str]:
