@@ -7,6 +7,7 @@ from tests.fakes import FakeSimulator
 from warp_rigid import Box, Plane, Scene, Sphere, export_usd
 from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.runs.recording import CAPTURED, VELOCITIES, Recorder, Recording, record
+from warp_rigid.viewer.film_files import selected
 
 
 @pytest.fixture
@@ -107,6 +108,18 @@ def test_disk_keeps_every_bit(scene, tmp_path):
         assert one.vertices.tobytes() == other.vertices.tobytes()
         assert one.faces.tobytes() == other.faces.tobytes()
         assert one.endless == other.endless
+
+
+def test_a_selection_keeps_the_times_of_its_environments(scene):
+    """As of moving ground after some environments were reset: those of environment 0 were taken."""
+
+    class Reset(FakeSimulator):
+        @property
+        def times(self):
+            return self.time + np.arange(self.num_envs)
+
+    whole = record(Reset(scene, num_envs=3), frames=2)
+    np.testing.assert_array_equal(selected(whole, [2]).times, whole.times[:, [2]])
 
 
 class Touching(FakeSimulator):

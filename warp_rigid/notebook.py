@@ -225,8 +225,7 @@ def _end_with_motion(recording: Recording) -> Recording:
     before = np.where(moves, np.nextafter(last, np.float32(np.inf)), last)
     twice: dict[str, Any] = {
         name: np.repeat(getattr(recording, name)[-1:], 2, axis=0)
-        for name in ("orientation", "asleep", "level", "active", "times")
-        if getattr(recording, name) is not None
+        for name in ("times", "orientation", "asleep", "level", "active")
     }
     return replace(recording, time=recording.time[-1] + np.arange(2), position=np.concatenate([before, last]), **twice)
 

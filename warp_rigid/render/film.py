@@ -206,7 +206,7 @@ def _meshes(recording: Recording, surfaces: Sequence[DrawnSurface]) -> tuple[tup
     for index, surface in enumerate(surfaces):
         made: dict[bytes, int] = {}
         for row in range(len(recording.envs)) if surface.moves else (0,):
-            times = recording.times_of(row)
+            times = recording.times[:, row]
             if times.tobytes() not in made:
                 made[times.tobytes()] = len(meshes)
                 meshes.append(_drawn(surface, times))

@@ -67,7 +67,7 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
         for body, name in enumerate(recording.names):
             places, turns = recording.position[:, row, body], orientation[:, row, body]
             index = int(recording.surface[body])
-            weights = surfaces[index].weights_at(recording.times_of(row)).astype(np.float32)
+            weights = surfaces[index].weights_at(recording.times[:, row]).astype(np.float32)
             mesh = file.mesh(index, surfaces[index], colors[body], looks.get(body, MATT), weights[0])
             node = file.node(env, name=name, mesh=mesh, translation=places[0].tolist(), rotation=turns[0].tolist())
             if (places != places[0]).any():

@@ -51,6 +51,7 @@ class Frame:
     """The recorded environments at one time; fields as in Recording, without the frame axis."""
 
     time: float
+    times: np.ndarray
     position: np.ndarray
     orientation: np.ndarray
     asleep: np.ndarray
@@ -59,11 +60,6 @@ class Frame:
     linear_velocity: np.ndarray | None = None
     angular_velocity: np.ndarray | None = None
     contacts: np.ndarray | None = None
-    times: np.ndarray | None = None
-
-    def time_of(self, row: int) -> float:
-        """Time since the start or the last reset of an environment, which its moving ground follows [s]."""
-        return self.time if self.times is None else float(self.times[row])
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +68,8 @@ class Recording:
 
     Attributes:
         time: (frames + 1,) float64 [s]; the first frame is the state before the first step.
+        times: (frames + 1, envs) float64, time since the start or the last reset of each environment, which its moving
+            ground follows [s].
         position: (frames + 1, envs, bodies, 3) float32, pose of the shape's frame [m].
         orientation: (frames + 1, envs, bodies, 4) float32, unit quaternions (x, y, z, w).
         asleep: (frames + 1, envs, bodies) bool.
@@ -93,11 +91,10 @@ class Recording:
         camera: where pictures are taken from, with the index of the body that it follows; None for a camera that keeps
             the moving bodies in view.
         looks: Look of bodies by their index.
-        times: (frames + 1, envs) float64, time since the start or the last reset of each environment, which its moving
-            ground follows [s]; None if it is `time`.
     """
 
     time: np.ndarray
+    times: np.ndarray
     position: np.ndarray
     orientation: np.ndarray
     asleep: np.ndarray
@@ -117,7 +114,6 @@ class Recording:
     start: dict[str, np.ndarray] = field(default_factory=dict)
     camera: Camera | None = None
     looks: dict[int, Look] = field(default_factory=dict)
-    times: np.ndarray | None = None
 
     def __repr__(self) -> str:
         """Show the size."""
@@ -131,20 +127,12 @@ class Recording:
 
     def frames(self) -> Iterator[Frame]:
         """Iterate over all frames, including the initial one."""
-        return _frames({name: getattr(self, name) for name in ("time", *self._kept, *self._own_times)}, self.contacts)
+        return _frames({name: getattr(self, name) for name in ("time", "times", *self._kept)}, self.contacts)
 
     @property
     def _kept(self) -> list[str]:
         """Names of the quantities of bodies recorded in every frame."""
         return [*CAPTURED, *(name for name in VELOCITIES if getattr(self, name) is not None)]
-
-    @property
-    def _own_times(self) -> list[str]:
-        return [] if self.times is None else ["times"]
-
-    def times_of(self, row: int) -> np.ndarray:
-        """(frames + 1,) `Frame.time_of` of an environment."""
-        return self.time if self.times is None else self.times[:, row]
 
     def rows(self, envs: Iterable[int] | None = None) -> np.ndarray:
         """Array rows of the environments `envs` (indices in the simulation; None: all).
@@ -184,7 +172,7 @@ class Recording:
 
         The scene is not stored: a loaded recording can be drawn, but not exported as a scene with physics.
         """
-        names = ("time", *self._kept, *self._own_times, "envs", "motion", "surface")
+        names = ("time", "times", *self._kept, "envs", "motion", "surface")
         arrays = {name: getattr(self, name) for name in names}
         if self.contacts is not None:
             arrays |= _contact_arrays(self.contacts)
@@ -334,10 +322,9 @@ class Recorder:
     def snapshot(self, sim) -> Frame:
         """Return the current state without storing it."""
         contacts = sim.contacts() if self._contacts else None  # of all environments, by their index in the simulation
-        time, times = float(sim.time), np.asarray(sim.times)[self.envs]
         return Frame(
-            time=time,
-            times=None if (times == time).all() else times,
+            time=float(sim.time),
+            times=np.asarray(sim.times, np.float64)[self.envs],
             **{name: self._rows(sim, name, dtype) for name, dtype in self._captured.items()},
             contacts=None if contacts is None else contacts[np.isin(contacts["env"], self.envs)],
         )
@@ -371,8 +358,8 @@ class Recorder:
         time = shaped(arrays, "time", np.float64, (None,))
         rows = (len(time), len(self.envs), len(self._scene.bodies))
         contacts = _contacts(arrays, len(time)) if self._contacts else None
-        kept = _times(arrays, *rows[:2]) | _quantities(arrays, self._captured, rows)
-        self._frames = list(_frames({"time": time, **kept}, contacts))
+        kept = _quantities(arrays, self._captured, rows)
+        self._frames = list(_frames({"time": time, "times": _times(arrays, time, rows[1]), **kept}, contacts))
 
     def recording(self) -> Recording:
         """Return all frames captured so far."""
@@ -395,11 +382,7 @@ class Recorder:
 
     def _stacked(self) -> dict[str, np.ndarray]:
         """The frames as arrays, without contacts."""
-        stacked = {"time": np.array([frame.time for frame in self._frames])}
-        if any(frame.times is not None for frame in self._frames):
-            rows = range(len(self.envs))
-            stacked["times"] = np.array([[frame.time_of(row) for row in rows] for frame in self._frames])
-        return stacked | {name: np.stack([getattr(f, name) for f in self._frames]) for name in self._captured}
+        return {name: np.stack([getattr(f, name) for f in self._frames]) for name in ("time", "times", *self._captured)}
 
     def _contact_frames(self) -> tuple[np.ndarray, ...]:
         return tuple(frame.contacts for frame in self._frames if frame.contacts is not None)
@@ -506,7 +489,7 @@ def _checked(text: dict, arrays: Mapping[str, np.ndarray]) -> dict:
     surface = shaped(arrays, "surface", np.int64, motion.shape)
     rows = (len(time), len(envs), len(motion))
     kept = CAPTURED | {name: kind for name, kind in VELOCITIES.items() if name in arrays}
-    frames = _times(arrays, *rows[:2]) | _quantities(arrays, kept, rows)
+    frames = {"times": _times(arrays, time, len(envs)), **_quantities(arrays, kept, rows)}
     properties = zip(text["endless"], text["angular_frequency"], strict=True)
     surfaces = tuple(
         _surface(arrays, index, bool(endless), frequency) for index, (endless, frequency) in enumerate(properties)
@@ -541,9 +524,10 @@ def _surface(arrays: Mapping[str, np.ndarray], index: int, endless: bool, freque
     return DrawnSurface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0), uv)
 
 
-def _times(arrays: Mapping[str, np.ndarray], frames: int, envs: int) -> dict[str, np.ndarray]:
-    """The times of the environments where they have their own."""
-    return {"times": shaped(arrays, "times", np.float64, (frames, envs))} if "times" in arrays else {}
+def _times(arrays: Mapping[str, np.ndarray], time: np.ndarray, envs: int) -> np.ndarray:
+    """The times of the environments; older files do not state those that are all the same."""
+    own = "times" in arrays
+    return shaped(arrays, "times", np.float64, (len(time), envs)) if own else np.tile(time[:, None], (1, envs))
 
 
 def _quantities(arrays: Mapping[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:

@@ -61,7 +61,7 @@ class Instancers:
             surface = self._film.surface[bodies[0]]
             group = _Group(
                 bodies,
-                bound_corners(self._film.surfaces[surface].vertices_at(frame.time_of(self._row))),
+                bound_corners(self._film.surfaces[surface].vertices_at(frame.times[self._row])),
                 frame.position[self._row, bodies],
                 frame.orientation[self._row, bodies],
             )
@@ -116,7 +116,7 @@ class Instancers:
         for group in self._groups:
             surface = self._film.surfaces[self._film.surface[group.bodies[0]]]
             if surface.moves:
-                group.corners = bound_corners(surface.vertices_at(frame.time_of(self._row)))
+                group.corners = bound_corners(surface.vertices_at(frame.times[self._row]))
             orientation = frame.orientation[self._row, group.bodies]
             # q and -q are the same rotation; equal signs let readers interpolate along the short arc.
             orientation[np.einsum("ij,ij->i", orientation, group.orientation) < 0.0] *= -1.0

@@ -84,7 +84,7 @@ class CameraWriter:
         set_attribute(self._prim, "clippingRange", NAMES.Float2, Gf.Vec2f(0.01 * reach, 1000.0 * reach))
 
     def _followed(self, frame: Frame) -> tuple[np.ndarray, Camera]:
-        return self._placed_at(frame.time_of(self._row), frame.position, frame.orientation)[0], self._camera
+        return self._placed_at(frame.times[self._row], frame.position, frame.orientation)[0], self._camera
 
     def _placed_at(self, time: float, position: np.ndarray, orientation: np.ndarray) -> tuple[np.ndarray, float]:
         body = int(self._camera.body or 0)

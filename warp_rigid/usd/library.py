@@ -65,17 +65,17 @@ class Library:
 
     def sample(self, time: float, frame: Frame) -> None:
         """Write the moving surfaces of a frame."""
-        if self._moving and any(frame.time_of(row) != frame.time_of(first) for row, first in self._alike.items()):
+        if self._moving and any(frame.times[row] != frame.times[first] for row, first in self._alike.items()):
             raise ValueError("sim: an environment was reset apart from others, which have its moving ground in common")
         for surface, row, tracks in self._moving.values():
-            points = surface.vertices_at(frame.time_of(row))
+            points = surface.vertices_at(frame.times[row])
             normals = corner_normals(points, surface.faces).reshape(-1, 3)
             values = [vec3f(points), vec3f(normals), _extent(points)]
             self._samples.put(tracks, time, values)
 
     def _write(self, prim: Sdf.PrimSpec, surface: DrawnSurface, row: int) -> None:
         """Write the triangles of the first frame, and track those of a moving surface."""
-        write_mesh(prim, surface.vertices_at(self._frame.time_of(row)), surface.faces, surface.uv)
+        write_mesh(prim, surface.vertices_at(self._frame.times[row]), surface.faces, surface.uv)
         if surface.moves:
             tracks = [self._samples.track(prim.attributes[name]) for name in ("points", "normals", "extent")]
             self._moving[str(prim.path)] = surface, row, tracks
@@ -109,7 +109,7 @@ class Library:
             separate = not isinstance(shape, (Mesh, Heightfield))
             write_material(self.layer, f"{path}/material", coefficients)
             for index, (part, position, orientation) in enumerate(simple_shapes(shape)):
-                time = self._frame.time_of(row)
+                time = self._frame.times[row]
                 prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation, time)
                 if moves(part):
                     self._write(prim, drawn_surface(part), row)

@@ -177,7 +177,7 @@ class UsdWriter:
         images = ImagePaths(Path(self._root.realPath), self._path, self._is_package)
         courses: dict[bytes, int] = {}
         rows = self._rows.tolist()
-        alike = {row: courses.setdefault(self._film.times_of(row).tobytes(), row) for row in rows}
+        alike = {row: courses.setdefault(self._film.times[:, row].tobytes(), row) for row in rows}
         self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame, alike, images)
         self._writers = [self._library, self._camera]
         if self._profile == "animation":

@@ -41,7 +41,7 @@ def selected(recording: Recording, envs: Any = None) -> Recording:
     if envs is None:
         return recording
     rows = recording.rows(envs)
-    kept = {name: getattr(recording, name) for name in (*CAPTURED, *VELOCITIES)}
+    kept = {name: getattr(recording, name) for name in ("times", *CAPTURED, *VELOCITIES)}
     return replace(
         recording,
         **{name: None if values is None else values[:, rows] for name, values in kept.items()},
