@@ -1,7 +1,8 @@
 """`warp-rigid run`: simulate a scene, evaluate its outcome and write animations and images."""
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -224,18 +225,26 @@ def _execute(
     options: RunOptions, plan: runner.Plan, chosen: list[int] | None, checkpoints: Checkpoints
 ) -> tuple[runner.Result, UserCodeError | None]:
     """The result of the run, or up to an error of the user's code, and that error."""
-    done = 0
+    done, path = 0, options.streamed
+    labels = plan.labels if chosen is None else [plan.labels[env] for env in chosen]
     with told_if_interrupted(lambda: _kept(options, checkpoints, done, plan.frames), lambda: done > 0):
         try:
-            with progress(plan.demo.name, plan.frames) as advance:
+            with (
+                progress(plan.demo.name, plan.frames) as advance,
+                UsdStream(plan.sim, path, plan.fps, chosen, labels, plan.camera, **vars(options.usd))
+                if path
+                else nullcontext() as stream,
+            ):
 
                 def on_frame(frame: int) -> None:
                     nonlocal done
+                    if stream is not None:
+                        stream.capture(plan.sim)
                     done = frame
                     advance(frame)
 
-                if options.streamed:
-                    return _execute_to_usd(plan, options.streamed, chosen, options.usd, on_frame), None
+                if path:  # memory stays constant, as nothing is recorded
+                    return runner.execute(plan, [], on_frame), None
                 velocities, contacts = options.color == "speed", options.usd_contacts
                 return runner.execute(plan, chosen, on_frame, checkpoints, velocities, contacts), None
         except UserCodeError as error:
@@ -265,20 +274,6 @@ def _kept(options: RunOptions, checkpoints: Checkpoints, done: int, total: int) 
         text += f"kept {options.streamed} with {done + 1} frames"
         return f"{text}; to be able to continue, use --checkpoint-every N"
     return text + "nothing was kept; to be able to continue, use --checkpoint-every N"
-
-
-def _execute_to_usd(
-    plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions, on_frame: Callable[[int], None]
-) -> runner.Result:
-    """Run and stream each frame to the file, so that memory stays constant and an interrupted run keeps its frames."""
-    labels = plan.labels if envs is None else [plan.labels[env] for env in envs]
-    with UsdStream(plan.sim, path, plan.fps, envs, labels, plan.camera, **vars(options)) as stream:
-
-        def capture(frame: int) -> None:
-            stream.capture(plan.sim)
-            on_frame(frame)
-
-        return runner.execute(plan, [], capture)
 
 
 def _print_overlap(sim: Simulator) -> None:
