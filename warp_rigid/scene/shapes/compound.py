@@ -55,7 +55,7 @@ class Compound(Shape):
         if not children and inertia_per_mass is None:
             raise ValueError("children: must hold at least one (shape, position, orientation)")
         self.children = tuple(_checked_child(index, child) for index, child in enumerate(children))
-        self._rotations = [rotations.matrix(orientation) for _, _, orientation in self.children]
+        self._placed = [(shape, position, rotations.matrix(turned)) for shape, position, turned in self.children]
         self.distribution = _checked_distribution(center_of_mass, inertia_per_mass)
 
     def __repr__(self) -> str:
@@ -76,10 +76,7 @@ class Compound(Shape):
         return MassProperties(volume, center, volume * per_mass)
 
     def _sum_of_children(self) -> MassProperties:
-        return mass_properties.combine(
-            (shape.mass_properties, position, rotation)
-            for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True)
-        )
+        return mass_properties.combine((shape.mass_properties, *pose) for shape, *pose in self._placed)
 
     @property
     def _reach(self) -> float:
@@ -99,7 +96,7 @@ class Compound(Shape):
         return np.max(
             [
                 directions @ position + shape.support(directions @ rotation)
-                for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True)
+                for shape, position, rotation in self._placed
             ],
             axis=0,
         )
@@ -114,9 +111,10 @@ class Compound(Shape):
         """Some of the children's."""
         if not self.children:
             return np.array([[*self.center_of_mass, 0.0]])
-        candidates = [shape.inner_balls.copy() for shape, _, _ in self.children]
-        for balls, (_, position, _), rotation in zip(candidates, self.children, self._rotations, strict=True):
-            balls[:, :3] = balls[:, :3] @ rotation.T + position
+        candidates = [
+            np.column_stack([shape.inner_balls[:, :3] @ rotation.T + position, shape.inner_balls[:, 3]])
+            for shape, position, rotation in self._placed
+        ]
         return spread_out(np.concatenate(candidates))
 
     def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -135,8 +133,7 @@ class Compound(Shape):
         return distance, gradient
 
     def _child_distance(self, index: int, points: np.ndarray):
-        shape, position, _ = self.children[index]
-        rotation = self._rotations[index]
+        shape, position, rotation = self._placed[index]
         distance, gradient = shape.signed_distance((points - position) @ rotation)
         return distance, gradient @ rotation.T
 
@@ -175,7 +172,7 @@ class Compound(Shape):
     def parts(self) -> list[Part]:
         """The children's parts, in order, at their poses."""
         flat = []
-        for (shape, position, orientation), rotation in zip(self.children, self._rotations, strict=True):
+        for (shape, position, rotation), (*_, orientation) in zip(self._placed, self.children, strict=True):
             for part in shape.parts():
                 place = rotation @ np.array(part.position) + position
                 composed = tuple(rotations.multiply(orientation, part.orientation).tolist())
@@ -185,8 +182,8 @@ class Compound(Shape):
     def sample_list(self) -> SampleList:
         """The children's samples, without those inside another child."""
         collected = SampleList()
-        for index, (shape, position, _) in enumerate(self.children):
-            rotation = self._rotations[index].T
+        for index, (shape, position, turned) in enumerate(self._placed):
+            rotation = turned.T
             samples = shape.sample_list()
             columns = samples.columns()
             columns["point"] = columns["point"] @ rotation + position
@@ -218,7 +215,7 @@ class Compound(Shape):
         if not self.children:
             return np.tile(self.center_of_mass, (3, 1)), np.array([[0, 1, 2]], np.int32)
         vertices, faces, count = [], [], 0
-        for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True):
+        for shape, position, rotation in self._placed:
             child_vertices, child_faces = shape.surface()
             vertices.append(child_vertices @ rotation.T + position)
             faces.append(child_faces + count)

@@ -172,7 +172,7 @@ class Heightfield(Shape):
 
     def _distance_within(self, points):
         """Distance within the rectangle, to the upper surface only."""
-        vertices, faces = self._surface_at(self.heights_at(0.0))
+        vertices, faces = self.surface()
         portion = max(1, 20_000 // len(faces))
         found = [_to_triangles(points[k : k + portion], vertices[faces]) for k in range(0, len(points), portion)]
         arm, nearest = (np.concatenate(column) for column in zip(*found, strict=True))
@@ -224,14 +224,11 @@ class Heightfield(Shape):
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Two triangles per cell, at time 0."""
-        return self._surface_at(self.heights_at(0.0))
-
-    def _surface_at(self, heights):
-        rows, columns = heights.shape
+        rows, columns = self.heights.shape
         x = np.linspace(-0.5, 0.5, rows) * self.extent[0]
         y = np.linspace(-0.5, 0.5, columns) * self.extent[1]
         x, y = np.meshgrid(x, y, indexing="ij")
-        vertices = np.stack([x, y, heights], axis=-1).reshape(-1, 3)
+        vertices = np.stack([x, y, self.heights_at(0.0)], axis=-1).reshape(-1, 3)
         return vertices, tessellation.lattice(rows, columns)
 
 

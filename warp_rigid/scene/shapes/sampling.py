@@ -11,10 +11,13 @@ from warp_rigid.scene.shapes import topology
 
 CLUSTER_LIMIT = 32
 FEATURE_DEGREES = 30.0
-COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank", "edges", "dip")
+COLUMNS: dict[str, tuple[int, ...]] = {
+    "point": (3,), "normal": (3,), "slide": (3,), "radius": (), "kind": (), "choice": (), "rank": (), "edges": (2,),
+    "dip": (),
+}  # fmt: skip
+"""Columns of a SampleList, and the shape of the value of a sample in each."""
 WHOLE = ("kind", "choice", "edges")
 """Columns of whole numbers."""
-WIDTHS = {"point": (3,), "normal": (3,), "slide": (3,), "edges": (2,)}
 FLAT_DEGREES = 0.5
 """Edges that bend by less are flat."""
 VERTEX, OTHER = 0, 1  # ranks: inside a cluster, vertices come first
@@ -65,32 +68,19 @@ class SampleList:
         self._columns = {name: [] for name in COLUMNS}
         self._unsampled_edges, self._edge_count = [np.zeros((0, 3))], 0
 
-    def add(
-        self,
-        kind,
-        point,
-        normal=(0, 0, 0),
-        slide=(0, 0, 0),
-        radius=0.0,
-        rank=OTHER,
-        choice=0,
-        edges=0,
-        dip=0.0,
-        unsampled_edges=(),
-    ):
+    def add(self, kind, point, normal=(0, 0, 0), slide=(0, 0, 0), rank=OTHER, unsampled_edges=(), **more):
         """Append n samples; each argument is one value for all, or one per sample.
 
-        `edges` (n, 2) are ranges of rows of `unsampled_edges` (m, 3), both as in `Samples`.
+        `more` has other columns, which are 0 by default. `edges` (n, 2) are ranges of rows of `unsampled_edges` (m, 3),
+        both as in `Samples`.
         """
         point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
-        count = len(point)
-        edges = np.asarray(edges) + self._edge_count
+        given = {"kind": kind, "point": point, "normal": normal, "slide": slide, "rank": rank, **more}
+        given["edges"] = np.asarray(given.get("edges", 0)) + self._edge_count
         self._unsampled_edges.append(np.reshape(unsampled_edges, (-1, 3)))
         self._edge_count += len(self._unsampled_edges[-1])
-        values = (point, normal, slide, radius, kind, choice, rank, edges, dip)
-        for (name, column), value in zip(self._columns.items(), values, strict=True):
-            shape = WIDTHS.get(name, ())
-            column.append(np.broadcast_to(np.asarray(value), (count, *shape)))
+        for name, shape in COLUMNS.items():
+            self._columns[name].append(np.broadcast_to(np.asarray(given.get(name, 0)), (len(point), *shape)))
 
     def add_balls(self, center, radius: float, rank=OTHER) -> None:
         """Append balls about points (n, 3), each once for every place on a mesh."""
