@@ -59,57 +59,45 @@ def make_points(
     one_of("design", design, DESIGNS)
     repeats = whole_in("repeats", repeats, 1, MAX_RUNS)
     rng = np.random.default_rng(whole_in("seed", seed, 0, 2**63 - 1))
-    if design in ("random", "lhs"):
-        if samples is None:
-            raise ValueError(f"samples: is required by the design {design}")
-        _check_runs(whole_in("samples", samples, 1, MAX_RUNS), repeats)
-        sampled = _sampled(axes, design, samples, rng)
-        return [(point, repeat) for point in sampled for repeat in range(repeats)]
-    if samples is not None:
+    sampled = design in ("random", "lhs")
+    if sampled and samples is None:
+        raise ValueError(f"samples: is required by the design {design}")
+    if not sampled and samples is not None:
         raise ValueError(f"samples: applies to the designs random and lhs, not {design}; use repeats to repeat points")
-    lists = {name: values for name, values in axes.items() if isinstance(values, list)}
-    drawn = {name: values for name, values in axes.items() if isinstance(values, Distribution)}
+    lists = {name: axis for name, axis in axes.items() if isinstance(axis, list) and not sampled}
+    drawn = {
+        name: Choice(*axis) if isinstance(axis, list) else axis for name, axis in axes.items() if name not in lists
+    }
     if design == "zip" and len({len(values) for values in lists.values()}) > 1:
         lengths = ", ".join(f"{name} has {len(values)}" for name, values in lists.items())
         raise ValueError(f"axes: the design zip requires lists of equal length, but {lengths}")
     zipped = design == "zip" and lists
-    _check_runs(len(next(iter(lists.values()))) if zipped else math.prod(map(len, lists.values())), repeats)
-    rows = list(zip(*lists.values(), strict=True) if zipped else itertools.product(*lists.values()))
-    quantiles = rng.random((len(rows), repeats, len(drawn))).tolist()
-    if drawn and len(rows) * repeats == 1:
+    count = len(next(iter(lists.values()))) if zipped else math.prod(map(len, lists.values()))
+    if samples is not None:
+        count = whole_in("samples", samples, 1, MAX_RUNS)
+    if count * repeats > MAX_RUNS:
+        raise ValueError(f"axes: must make at most {MAX_RUNS} runs, got {count * repeats}")
+    listed = zip(*lists.values(), strict=True) if zipped else itertools.product(*lists.values())
+    rows = [()] * count if sampled else list(listed)
+    if design == "lhs":
+        from scipy.stats import qmc
+
+        quantiles = qmc.LatinHypercube(max(1, len(axes)), rng=rng).random(count)[:, None, : len(axes)]
+    else:
+        quantiles = rng.random((count, 1 if sampled else repeats, len(drawn)))
+    if drawn and not sampled and count * repeats == 1:
         name, source = next(iter(drawn.items()))
         raise ValueError(
             f"axes: the design {design} draws {name} once from {source}, which makes a single run; give the number of "
             f"values (low:high:count), or repeats, or samples with the design random or lhs"
         )
     points = []
-    for row, draws in zip(rows, quantiles, strict=True):
+    for row, draws in zip(rows, np.broadcast_to(quantiles, (count, repeats, len(drawn))).tolist(), strict=True):
         values = dict(zip(lists, row, strict=True))
         for repeat, draw in enumerate(draws):
             values |= {name: source.at(q) for (name, source), q in zip(drawn.items(), draw, strict=True)}
             points.append(({name: values[name] for name in axes}, repeat))
     return points
-
-
-def _check_runs(points: int, repeats: int) -> None:
-    """Check the number of runs before they are generated."""
-    if points * repeats > MAX_RUNS:
-        raise ValueError(f"axes: must make at most {MAX_RUNS} runs, got {points * repeats}")
-
-
-def _sampled(axes: dict[str, list | Distribution], design: str, samples: int, rng: Any) -> list[dict[str, Any]]:
-    """Sample points from all axes together."""
-    if design == "lhs":
-        from scipy.stats import qmc
-
-        quantiles = qmc.LatinHypercube(max(1, len(axes)), rng=rng).random(samples)
-    else:
-        quantiles = rng.random((samples, len(axes)))
-    sources = {name: Choice(*axis) if isinstance(axis, list) else axis for name, axis in axes.items()}
-    return [
-        {name: source.at(q) for (name, source), q in zip(sources.items(), row, strict=False)}
-        for row in quantiles.tolist()
-    ]
 
 
 def stable_hash(*parts: Any) -> str:
