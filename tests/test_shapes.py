@@ -153,7 +153,7 @@ def test_equal_shapes_share_a_key_and_shapes_cannot_be_changed():
 
 def test_two_shapes_of_one_name_are_refused():
     """Saved scenes name shapes by their class."""
-    with pytest.raises(TypeError, match="Sphere: warp_rigid.scene.shapes.sphere.Sphere already has this name"):
+    with pytest.raises(TypeError, match="Sphere: warp_rigid.scene.shapes.analytic.Sphere already has this name"):
         type("Sphere", (Shape,), {})
     assert Shape.classes["sphere"] is Sphere
 

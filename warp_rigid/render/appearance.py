@@ -15,7 +15,7 @@ from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.scene.look import Look
 from warp_rigid.scene.scene import Motion
-from warp_rigid.scene.shapes.plane import DRAWN_HALF_WIDTH
+from warp_rigid.scene.shapes.analytic import DRAWN_HALF_WIDTH
 
 # sRGB colours. Neighbours in the list differ in hue and lightness, so that consecutive bodies are distinguishable
 # with colour blindness.

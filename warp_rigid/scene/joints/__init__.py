@@ -1,7 +1,17 @@
 """Joints: what a scene states about them."""
 
-from warp_rigid.scene.joints.joint import JOINTS, Drive, Joint, JointEntry, JointFrame
-from warp_rigid.scene.joints.kinds import DistanceJoint, FixedJoint, PrismaticJoint, RevoluteJoint, SphericalJoint
+from warp_rigid.scene.joints.joint import (
+    JOINTS,
+    DistanceJoint,
+    Drive,
+    FixedJoint,
+    Joint,
+    JointEntry,
+    JointFrame,
+    PrismaticJoint,
+    RevoluteJoint,
+    SphericalJoint,
+)
 
 __all__ = [
     "JOINTS",

@@ -6,16 +6,12 @@ Every file of this folder is imported, so that each shape is registered (see `Sh
 from importlib import import_module
 from pkgutil import iter_modules
 
+from warp_rigid.scene.shapes.analytic import Box, Capsule, Cylinder, Plane, Sphere
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, Shape
-from warp_rigid.scene.shapes.box import Box
-from warp_rigid.scene.shapes.capsule import Capsule
 from warp_rigid.scene.shapes.compound import Compound
-from warp_rigid.scene.shapes.cylinder import Cylinder
 from warp_rigid.scene.shapes.heightfield import HarmonicMotion, Heightfield
 from warp_rigid.scene.shapes.mesh import Mesh
-from warp_rigid.scene.shapes.plane import Plane
 from warp_rigid.scene.shapes.sampling import SampleKind, Samples
-from warp_rigid.scene.shapes.sphere import Sphere
 
 __all__ = [
     "Box",

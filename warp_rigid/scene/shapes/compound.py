@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from warp_rigid import rotations
 from warp_rigid.checks import finite_vector, numbers_of, shown, unit_quaternion, whole_in
 from warp_rigid.scene.shapes import mass_properties
+from warp_rigid.scene.shapes.analytic import Sphere
 from warp_rigid.scene.shapes.base import (
     IDENTITY_ROTATION,
     Part,
@@ -72,7 +73,7 @@ class Compound(Shape):
         if self.distribution is None:
             return self._sum_of_children()
         center, per_mass = self.distribution
-        volume = self._sum_of_children().volume if self.children else mass_properties.sphere(self._reach).volume
+        volume = self._sum_of_children().volume if self.children else Sphere(self._reach).volume
         return MassProperties(volume, center, volume * per_mass)
 
     def _sum_of_children(self) -> MassProperties:

@@ -1,6 +1,5 @@
-"""Volume, centre of mass and inertia at unit density: closed forms, polyhedra and sums."""
+"""Volume, centre of mass and inertia at unit density: polyhedra and sums."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,32 +25,6 @@ def diagonal(volume: float, moments) -> MassProperties:
     """A solid with its centre of mass at the origin and its principal axes along the frame's."""
     inertia = np.diag(np.asarray(moments, dtype=np.float64))
     return MassProperties(float(volume), np.zeros(3), inertia)
-
-
-def sphere(radius: float) -> MassProperties:
-    """Solid ball."""
-    volume = 4.0 / 3.0 * math.pi * radius**3
-    return diagonal(volume, np.full(3, 0.4 * volume * radius**2))
-
-
-def cylinder(radius: float, half_height: float) -> MassProperties:
-    """Solid cylinder about z."""
-    volume = 2.0 * math.pi * radius**2 * half_height
-    across = volume * (radius**2 / 4.0 + half_height**2 / 3.0)
-    return diagonal(volume, (across, across, 0.5 * volume * radius**2))
-
-
-def capsule(radius: float, half_height: float) -> MassProperties:
-    """Solid capsule about z: a cylinder of the given half height between two half balls.
-
-    The centre of mass of a half ball is 3/8 of the radius from its flat side, which gives the term
-    3/4 radius half_height below.
-    """
-    tube, balls = cylinder(radius, half_height), sphere(radius)
-    shifted = half_height**2 + 0.75 * half_height * radius
-    moments = np.diag(tube.inertia) + np.diag(balls.inertia)
-    moments = moments + balls.volume * shifted * np.array([1.0, 1.0, 0.0])
-    return diagonal(tube.volume + balls.volume, moments)
 
 
 def polyhedron(vertices: np.ndarray, faces: np.ndarray) -> MassProperties:

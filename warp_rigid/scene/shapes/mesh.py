@@ -85,35 +85,30 @@ class Mesh(Shape):
         if not self._closed:
             self._refuse_thin()
 
-    @cached_property
-    def _simple(self) -> bool:
-        """Whether the nearest triangle shows on which side of the surface a point is.
-
-        It does on a closed surface with two faces at each edge. Where holes were closed, it must not cross itself, too:
-        a cap may cross the surface, and only surfaces without holes are united where they cross.
-        """
-        if self._closed or not topology.find_edges(self._solid_faces).manifold:
-            return self._closed
-        return not topology.crosses_itself(self._solid_vertices, self._solid_faces, len(self.faces))
-
     def _refuse_thin(self) -> None:
         """Reject walls that the grid does not resolve, where it alone decides between inside and outside."""
         extent = float(np.ptp(self.vertices, axis=0).max())
         least = int(np.ceil(CELLS_OF_A_WALL * extent / self.wall))
-        if self.sdf_resolution < least and not self._simple:
+        if self.sdf_resolution < least and self.fault:
             raise ValueError(
                 f"sdf_resolution: must be at least {least} for walls about {1e3 * self.wall:.3g} mm thick, got "
                 f"{self.sdf_resolution}; as {self.fault}, only the grid separates inside from outside"
             )
 
-    @property
+    @cached_property
     def fault(self) -> str:
-        """Why contacts cannot use the triangles; empty if they can."""
-        if self._simple:
+        """Why contacts cannot use the triangles; empty if they can.
+
+        They can if the nearest triangle shows on which side of the surface a point is: on a closed surface with two
+        faces at each edge. Where holes were closed, it must not cross itself, too: a cap may cross the surface, and
+        only surfaces without holes are united where they cross.
+        """
+        if self._closed:
             return ""
         if not topology.find_edges(self._solid_faces).manifold:
             return "more than two faces meet at an edge"
-        return "the mesh has holes, and with their caps it crosses itself"
+        crosses = topology.crosses_itself(self._solid_vertices, self._solid_faces, len(self.faces))
+        return "the mesh has holes, and with their caps it crosses itself" if crosses else ""
 
     def __repr__(self) -> str:
         """Show the numbers of vertices and triangles."""
@@ -240,7 +235,7 @@ class Mesh(Shape):
     @cached_property
     def grid(self) -> Grid:
         """Signed distances: `sdf_resolution` cells along the longest side, and 3 more on every side."""
-        return distance_grid.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple)
+        return distance_grid.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, not self.fault)
 
     def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance to the triangles (n,) [m] and unit direction (n, 3), which is zero on the surface itself.
@@ -248,7 +243,7 @@ class Mesh(Shape):
         Computed in float32 about the middle of the mesh. The simulation takes it from the grid where no contact can be,
         and more than a cell inside.
         """
-        return distance_grid.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), self._simple)
+        return distance_grid.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), not self.fault)
 
     @cached_property
     def wall(self):
@@ -272,7 +267,7 @@ class Mesh(Shape):
     @cached_property
     def tree(self) -> TriangleTree:
         """All triangles; without a sign if the mesh has a `fault`."""
-        return triangle_tree(self._solid_vertices, self._solid_faces, self._simple)
+        return triangle_tree(self._solid_vertices, self._solid_faces, not self.fault)
 
     @property
     def sample_spacing(self) -> float:

@@ -74,15 +74,11 @@ def geodesic(frequency: int) -> tuple[np.ndarray, np.ndarray]:
     downward = np.stack([place[low_i + 1, low_j], place[low_i + 1, low_j + 1], place[low_i, low_j + 1]], 1)
     pattern = np.concatenate([upward, downward])
     triangles = pattern[None] + len(weight) * np.arange(len(faces))[:, None, None]
-    vertices, merged = _merge(points.reshape(-1, 3))
+    points = points.reshape(-1, 3)
+    _, first, merged = np.unique(np.round(points * 1e9), axis=0, return_index=True, return_inverse=True)
+    vertices = points[first]
     vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
-    return vertices, merged[triangles.reshape(-1, 3)].astype(np.int32)
-
-
-def _merge(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct points (1e-9 apart), and the index among them of each."""
-    _, first, index = np.unique(np.round(points * 1e9), axis=0, return_index=True, return_inverse=True)
-    return points[first], index.reshape(-1)
+    return vertices, merged.reshape(-1)[triangles.reshape(-1, 3)].astype(np.int32)
 
 
 def revolve(radii, heights, sections: int) -> tuple[np.ndarray, np.ndarray]:
