@@ -11,7 +11,7 @@ import warp as wp
 from PIL import Image
 
 from warp_rigid import Settings, Simulator
-from warp_rigid.bench import measure, notes, peers, phases
+from warp_rigid.bench import measure, notes, peers
 from warp_rigid.bench.cases import STANDARD, BenchmarkCase, find_case, moving
 from warp_rigid.commands import cli
 from warp_rigid.rotations import rotate
@@ -148,7 +148,7 @@ def test_measured_figures_add_up(device):
 def test_phases_are_parts_of_one_run(device):
     """The states and times to rest are those of an ordinary run: neither rehearsal nor measurements leave a trace."""
     case, conditions = BenchmarkCase("pile_box", 4), measure.Conditions(envs=3, substeps=1, settle=0, frames=0)
-    rows = phases.measure_phases(case, conditions, wp.get_device(device), until=4.0)
+    rows = measure.measure_phases(case, conditions, wp.get_device(device), until=4.0)
     sim = Simulator(case.build(), 3, Settings(dt=1 / 60), device=device)
     case.scatter(sim)
     bodies = moving(sim.scene)
@@ -185,7 +185,7 @@ def test_a_ring_that_moves_is_not_at_rest(capsys):
         "rest_time": None,
         "rest_seconds": None,
     }
-    assert told["rows"][2]["quality"]["max_speed"] > phases.RESTING
+    assert told["rows"][2]["quality"]["max_speed"] > measure.RESTING
 
 
 def test_bodies_sleep_if_they_may(device):

@@ -157,18 +157,10 @@ def _on_ground(add: Callable[..., Any], friction: float = FRICTION, density: flo
     return build
 
 
-def _add_pyramid(scene: Scene, cubes: int, **surface: Any) -> None:
-    add_bodies(scene, Box((PYRAMID_HALF,) * 3), _pyramid_rest(cubes), **surface)
-
-
 def _pyramid_rest(cubes: int) -> np.ndarray:
     """The lowest cubes of the smallest pyramid that has enough of them."""
     rows = math.ceil((math.sqrt(8.0 * cubes + 1.0) - 1.0) / 2.0)
     return stacks.pyramid(rows, PYRAMID_HALF)[:cubes]
-
-
-def _add_bricks(scene: Scene, bricks: int, **surface: Any) -> None:
-    add_bodies(scene, Box(stacks.BRICK), *stacks.brick_tower(bricks), **surface)
 
 
 def _apart(starts: Callable[[int, int], tuple[np.ndarray, ...]]) -> Callable[[Simulator, int], None]:
@@ -209,12 +201,16 @@ SCENES: dict[str, BenchmarkScene] = {
         max_bodies=2000,
     ),
     "pyramid": BenchmarkScene(
-        _on_ground(_add_pyramid, PYRAMID_FRICTION, PYRAMID_DENSITY),
+        _on_ground(
+            lambda scene, cubes, **own: add_bodies(scene, Box((PYRAMID_HALF,) * 3), _pyramid_rest(cubes), **own),
+            PYRAMID_FRICTION,
+            PYRAMID_DENSITY,
+        ),
         half_width=lambda cubes: PYRAMID_HALF,
         rest=_pyramid_rest,
     ),
     "kapla": BenchmarkScene(
-        _on_ground(_add_bricks),
+        _on_ground(lambda scene, n, **own: add_bodies(scene, Box(stacks.BRICK), *stacks.brick_tower(n), **own)),
         half_width=lambda bricks: stacks.BRICK[1],
         rest=lambda bricks: stacks.brick_tower(bricks)[0],
     ),

@@ -143,18 +143,11 @@ def write_problem(path: Path, engine: str, case: BenchmarkCase, conditions: Cond
 
 def _fixed(scene: Scene) -> list[dict[str, Any]]:
     """Static bodies on the ground plane z = 0, which every scene has."""
-    fixed: list[dict[str, Any]] = []
-    for body in scene.bodies:
-        if body.mass > 0.0:
-            continue
-        if isinstance(body.shape, Box):
-            fixed.append(
-                {"kind": "box", "half_extents": list(body.shape.half_extents), "position": list(body.position)}
-            )
-        elif isinstance(body.shape, Cylinder):
-            sizes = {"radius": body.shape.radius, "half_height": body.shape.half_height}
-            fixed.append({"kind": "cylinder", **sizes, "position": list(body.position)})
-    return fixed
+    return [
+        {"kind": body.shape.kind(), **body.shape.to_data(lambda _: 0)[0], "position": list(body.position)}
+        for body in scene.bodies
+        if body.mass == 0.0 and isinstance(body.shape, Box | Cylinder)
+    ]
 
 
 def _hinges(scene: Scene, rows: list[int]) -> list[dict[str, Any]]:

@@ -13,9 +13,9 @@ from rich.table import Table
 
 from warp_rigid.bench import measure, peers
 from warp_rigid.bench.cases import STANDARD, find_case
-from warp_rigid.bench.measure import Conditions
+from warp_rigid.bench.chart import save_chart
+from warp_rigid.bench.measure import UNTIL, Conditions, measure_phases
 from warp_rigid.bench.notes import duration, notes
-from warp_rigid.bench.phases import UNTIL, measure_phases
 from warp_rigid.bench.startup import start_up
 from warp_rigid.commands.options import AsJson, Device, takes
 from warp_rigid.commands.terminal import check_outputs, check_writable, console, note, say, say_written
@@ -123,8 +123,6 @@ def bench_command(options: BenchOptions) -> int:
             rows += done
             advance(len(rows))
     if options.output:
-        from warp_rigid.bench.chart import save_chart
-
         save_chart(rows, options.output)
     files = [path for path in (options.json_lines, options.output) if path]
     if options.as_json:
