@@ -11,7 +11,7 @@ import pytest
 import warp_rigid as wr
 from warp_rigid import progress_bar
 from warp_rigid.commands import cli
-from warp_rigid.sweep import batch_run, worker_processes
+from warp_rigid.sweep import batch_run, workers
 
 AXES = {"friction": [0.2, 0.3, 0.4]}
 OPTIONS = {"duration": 0.1, "fps": 40.0, "device": "cpu"}
@@ -65,7 +65,7 @@ def test_a_batch_that_is_split_goes_on_where_its_first_half_ended(told, monkeypa
 @pytest.mark.long
 def test_workers_tell_parts_of_their_batches(told, monkeypatch):
     """The process that started them looks often enough to see a batch of many samples in the middle."""
-    monkeypatch.setattr(worker_processes, "DONE_PERIOD", 0.01)
+    monkeypatch.setattr(workers, "DONE_PERIOD", 0.01)
     wr.sweep("incline", AXES, duration=4.0, fps=240.0, cluster="local", workers=1, batch=3)
     done = [value for value, _ in told]
     assert done[-1] == 3 and sorted(done) == done

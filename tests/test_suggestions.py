@@ -9,8 +9,7 @@ from warp_rigid.bench.cases import find_case
 from warp_rigid.engine import quantities
 from warp_rigid.runs.assignments import sort_assignments
 from warp_rigid.runs.runner import find_scene
-from warp_rigid.sweep.metrics import check_metrics
-from warp_rigid.sweep.observers import check_observers
+from warp_rigid.sweep.metrics import check_metrics, check_observers
 from warp_rigid.sweep.table import SweepResult
 from warp_rigid.validation import suite
 

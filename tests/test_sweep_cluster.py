@@ -18,8 +18,7 @@ from tests.test_sweep import ball, quick, values
 from warp_rigid.commands import cli
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.sweep import execution, read
-from warp_rigid.sweep.cluster import cluster_of_file
-from warp_rigid.sweep.worker_processes import WorkerProcesses
+from warp_rigid.sweep.workers import WorkerProcesses, cluster_of_file
 
 AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}
 OPTIONS = {"duration": 1.0, "metrics": ["final_pose", "drift"]}
@@ -111,7 +110,7 @@ def test_worker_processes_end_with_the_process_that_started_them():
     """Although it is killed in the middle of a batch of an hour."""
     program = """
 import warp_rigid as wr
-from warp_rigid.sweep.worker_processes import WorkerProcesses
+from warp_rigid.sweep.workers import WorkerProcesses
 with WorkerProcesses(1) as workers:
     import os, signal, time
     print(workers._workers[0].submit(os.getpid).result(), flush=True)

@@ -7,6 +7,8 @@ import typer
 
 from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.terminal import console
+from warp_rigid.diagnostics.machine import examine
+from warp_rigid.engine.simulator import choose_device
 
 FAULTY = 1
 
@@ -16,9 +18,6 @@ def doctor_command(
     as_json: AsJson = False,
 ) -> int:
     """Show versions, devices and caches, test each device, and suggest a fix for each failure."""
-    from warp_rigid.diagnostics.machine import examine
-    from warp_rigid.engine.simulator import choose_device
-
     report = examine(None if device is None else [str(choose_device(device))])
     if as_json:
         print(json.dumps(report))

@@ -8,6 +8,9 @@ import typer
 from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.sweep import FAILED_RUNS, print_result
 from warp_rigid.commands.terminal import note
+from warp_rigid.sweep import merge
+from warp_rigid.sweep.result_plots import check_plot
+from warp_rigid.sweep.table import check_ending
 
 
 def merge_command(
@@ -21,10 +24,6 @@ def merge_command(
     as_json: AsJson = False,
 ) -> int:
     """Merge the tables of the shards of a sweep. Missing runs count as failed."""
-    from warp_rigid.sweep import merge
-    from warp_rigid.sweep.result_plots import check_plot
-    from warp_rigid.sweep.table import check_ending
-
     if plot:
         check_plot(plot, plot_kind)
     check_ending("-o", output)

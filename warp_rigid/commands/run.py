@@ -28,6 +28,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.files.atomic import check_unread
 from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
+from warp_rigid.render.gltf import export_gltf
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
 from warp_rigid.runs.recording import Recording
@@ -208,8 +209,10 @@ def run_command(options: RunOptions) -> int:
     result, failure = _execute(options, plan, chosen, checkpoints)
     if failure is not None and options.written:
         note(f"{failure}; writing the {result.summary['frames']} frames before it")
-    if options.output and not options.streamed:
-        _export(result.recording, options.output, options.usd)
+    if options.to_usd and not options.streamed:
+        export_usd(result.recording, options.to_usd, **vars(options.usd))
+    elif options.output and not options.to_usd:
+        export_gltf(result.recording, options.output)
     _draw(options, result.recording)
     summary = {**result.summary, "files": options.written}
     if options.as_json:
@@ -303,16 +306,6 @@ def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
     if not all(0 <= env < num_envs for env in chosen) or len(set(chosen)) < len(chosen):
         raise ValueError(f"--usd-envs: must be different numbers from 0 to {num_envs - 1}, got {text}")
     return chosen
-
-
-def _export(recording, path: str, options: UsdOptions) -> None:
-    """Export a finished recording."""
-    if path.endswith(".glb"):
-        from warp_rigid.render.gltf import export_gltf
-
-        export_gltf(recording, path)
-    else:
-        export_usd(recording, path, **vars(options))
 
 
 def _draw(options: RunOptions, recording: Recording) -> None:

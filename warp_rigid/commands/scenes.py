@@ -9,25 +9,13 @@ from warp_rigid.commands.options import AsJson
 from warp_rigid.commands.terminal import console
 
 
-def scenes_command(
-    as_json: AsJson = False,
-) -> None:
+def scenes_command(as_json: AsJson = False) -> None:
     """List the built-in scenes with their parameters and the variants used by --compare."""
     demos = [scenes.get(name) for name in scenes.names()]
     if as_json:
-        print(
-            json.dumps(
-                {
-                    demo.name: {
-                        "summary": demo.summary,
-                        "parameters": demo.parameters,
-                        "variants": list(demo.variants),
-                        "duration": demo.duration,
-                    }
-                    for demo in demos
-                }
-            )
-        )
+        shown = ("summary", "parameters", "duration")
+        told = {demo.name: {name: getattr(demo, name) for name in shown} for demo in demos}
+        print(json.dumps({demo.name: {**told[demo.name], "variants": list(demo.variants)} for demo in demos}))
         return
     table = Table("scene", "shows", "parameters", "variants", box=None, pad_edge=False)
     for demo in demos:

@@ -1,7 +1,6 @@
 """`warp-rigid sweep`: simulate a scene over a range of parameters and tabulate the metrics."""
 
 import json
-import re
 import time
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -10,6 +9,13 @@ import typer
 
 from warp_rigid.commands.options import AsJson, SimulatedScene, takes
 from warp_rigid.commands.terminal import check_writable, continued, note, say, say_written, told_if_interrupted
+from warp_rigid.runs.assignments import join_vector, parse_assignment, split_at_commas
+from warp_rigid.runs.user_code import column_name
+from warp_rigid.sweep import sweep
+from warp_rigid.sweep.axes import parse_axis
+from warp_rigid.sweep.metrics import OUTCOME, check_metrics
+from warp_rigid.sweep.result_plots import check_plot
+from warp_rigid.sweep.workers import cluster_of_file
 
 FAILED_RUNS = 5
 
@@ -85,10 +91,10 @@ class SweepOptions:
             "fixed": _fixed(self.assignments or ()),
             "metrics": measured,
             "batch": int(self.batch) if self.batch.isdigit() else self.batch,
-            "observe": split_names(self.observe),
-            "series": split_names(self.series),
+            "observe": split_at_commas(self.observe) if self.observe else None,
+            "series": split_at_commas(self.series) if self.series else None,
             "shard": _shard(self.shard),
-            "cluster": _cluster(self.cluster),
+            "cluster": cluster_of_file(self.cluster) if self.cluster and self.cluster.endswith(".py") else self.cluster,
             "command": self.context.obj,
         }
 
@@ -96,11 +102,6 @@ class SweepOptions:
 @takes(SweepOptions)
 def sweep_command(options: SweepOptions) -> int:
     """Simulate a scene over a range of parameters and write one table row per run."""
-    from warp_rigid.sweep import sweep
-    from warp_rigid.sweep.axes import parse_axis
-    from warp_rigid.sweep.metrics import check_metrics
-    from warp_rigid.sweep.result_plots import check_plot
-
     axes, plot, output = _by_name(map(parse_axis, options.vary or ()), "--vary"), options.plot, options.output
     measured = check_metrics(options.metrics.split(",") if options.metrics else None)
     if plot:
@@ -155,9 +156,6 @@ def print_result(result: Any, files: list[str], as_json: bool, seconds: float | 
 
 def _check_columns(x: str | None, y: str | None, axes: dict[str, Any], measured: tuple) -> None:
     """Check that the table will have the columns to plot."""
-    from warp_rigid.runs.user_code import column_name
-    from warp_rigid.sweep.metrics import OUTCOME
-
     if x is not None and x not in axes:
         raise ValueError(f"--plot-x: must be an axis ({', '.join(axes)}), got {x}")
     names = [column_name(metric) for metric in measured]
@@ -177,19 +175,12 @@ def _by_name(pairs: Any, flag: str) -> dict[str, Any]:
 
 def _fixed(texts: Any) -> dict[str, Any]:
     """Values shared by all runs, by name."""
-    from warp_rigid.runs.assignments import join_vector, parse_assignment
-
     given = _by_name(map(parse_assignment, texts), "--set")
     given = {name: join_vector(name, values) for name, values in given.items()}
     for name, values in given.items():
         if len(values) > 1:
             raise ValueError(f"--set {name}: takes one value; use --vary for several")
     return {name: values[0] for name, values in given.items()}
-
-
-def split_names(text: str | None) -> list[str] | None:
-    """Split at commas outside brackets."""
-    return re.findall(r"(?:[^,\[]|\[[^\]]*(?:\]|$))+", text) if text else None
 
 
 def _shard(text: str | None) -> tuple[int, int] | None:
@@ -200,12 +191,3 @@ def _shard(text: str | None) -> tuple[int, int] | None:
     if not (slash and number.isdigit() and count.isdigit() and 1 <= int(number) <= int(count)):
         raise ValueError(f"--shard: must be I/N with 1 <= I <= N, got {text}")
     return int(number), int(count)
-
-
-def _cluster(text: str | None) -> Any:
-    """Resolve the argument of --cluster."""
-    if text is not None and text.endswith(".py"):
-        from warp_rigid.sweep.cluster import cluster_of_file
-
-        return cluster_of_file(text)
-    return text

@@ -48,6 +48,11 @@ class Assignments:
         """Number of environments required by the lists of values; None without lists."""
         return max((len(values) for values in self.batched.values()), default=None)
 
+    @property
+    def scene_key(self) -> str:
+        """Key that is equal for equal scene parameters."""
+        return repr(sorted(self.scene.items()))
+
 
 def parse_assignment(text: str, flag: str = "--set") -> tuple[str, list]:
     """Split "name=value" or "name=value,value,..." into the name and its values.
@@ -64,7 +69,7 @@ def parse_assignment(text: str, flag: str = "--set") -> tuple[str, list]:
     name, equals, values = text.partition("=")
     name, bracket, bodies = name.strip().partition("[")
     name = name.replace("-", "_")
-    parts = [part.strip() for part in _split(values)]
+    parts = [part.strip() for part in split_at_commas(values)]
     choice_is_bad = bracket and not (bodies.endswith("]") and bodies[:-1].strip())
     if not equals or not name.isidentifier() or choice_is_bad or not all(parts):
         raise ValueError(f"{flag}: must be name=value or name=value,value,..., got {shown(text)}")
@@ -168,7 +173,7 @@ def sort_assignments(texts, build) -> Assignments:
     return result
 
 
-def _split(text: str) -> list[str]:
+def split_at_commas(text: str) -> list[str]:
     """Split at commas outside brackets."""
     parts, depth = [""], 0
     for character in text:

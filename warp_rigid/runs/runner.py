@@ -73,13 +73,11 @@ class Result:
     Attributes:
         recording: poses of the recorded environments.
         verdicts: verdicts of the outcome; empty for a scene without an outcome.
-        status: (envs,) records of Simulator.status.
         summary: plain data for JSON.
     """
 
     recording: Recording
     verdicts: list[Verdict]
-    status: np.ndarray
     summary: dict[str, Any]
 
 
@@ -435,7 +433,7 @@ def _result(plan: Plan, progress: Progress, verdicts: list[Verdict]) -> Result:
         "env_frames_per_second": sim.num_envs * len(warm) / sum(warm) if warm else 0.0,
         "verdicts": [_verdict(verdict, plan.variants) for verdict in verdicts],
     }
-    return Result(progress.recorder.recording(), verdicts, status, summary)
+    return Result(progress.recorder.recording(), verdicts, summary)
 
 
 def _records(status: np.ndarray, chosen: np.ndarray) -> list[dict[str, Any]]:

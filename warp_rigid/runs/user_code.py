@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from warp_rigid.checks import shown
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.scene.scene import Scene
@@ -230,3 +232,38 @@ def _short(path: Path) -> Path:
 
 def _is_same(name: str | None, path: Path) -> bool:
     return name is not None and Path(name).resolve() == path.resolve()
+
+
+class Failures:
+    """The environments of a batch in which the user's code failed.
+
+    Args:
+        num_envs: number of environments.
+
+    Attributes:
+        reasons: for each environment the first error as one line; None without an error.
+        void: (envs,) bool, whether the error invalidates the simulation itself, and so all its values.
+    """
+
+    def __init__(self, num_envs: int) -> None:
+        """Start without errors."""
+        self.reasons: list[str | None] = [None] * num_envs
+        self.void = np.zeros(num_envs, bool)
+
+    @contextlib.contextmanager
+    def of(self, code: Callable, what: str, envs: Any = slice(None), void: bool = False) -> Iterator[None]:
+        """Store an error of the user's code in the block, which then ends.
+
+        Args:
+            code: the user's function, class or object.
+            what: its name for the message, such as "metric slope".
+            envs: the environments concerned.
+            void: whether an error invalidates all their values.
+        """
+        try:
+            with errors_of(code):
+                yield
+        except UserCodeError as error:
+            for env in np.arange(len(self.reasons))[envs]:
+                self.reasons[env] = self.reasons[env] or f"{what}: {error}"
+            self.void[envs] |= void

@@ -185,18 +185,16 @@ def parse_axis(text: str) -> tuple[str, list | Distribution]:
 def _range(name: str, word: str) -> list | Distribution:
     """Expand "low:high:count" to a list of numbers, and "low:high" to a uniform distribution."""
     parts = word.split(":")
-    numbers: list[float] = []
-    count = None
     try:
-        count = int(parts[2]) if len(parts) == 3 else None
-        numbers = [float(part) for part in parts[:2]]
+        low, high = map(float, parts[:2])
+        (count,) = map(int, parts[2:]) if len(parts) > 2 else (None,)
     except ValueError:
-        pass
-    if len(numbers) != 2 or len(parts) > 3 or not all(map(math.isfinite, numbers)):
+        low, high, count = math.nan, math.nan, None
+    if not (math.isfinite(low) and math.isfinite(high)):
         raise ValueError(f"--vary {name}: must be low:high:count or low:high with numbers, got {word!r}")
     if count is None:
-        return Uniform(*numbers)
+        return Uniform(low, high)
     whole_in(f"--vary {name}: count", count, 1, MAX_VALUES)
-    spaced = np.linspace(numbers[0], numbers[1], count).tolist()
+    spaced = np.linspace(low, high, count).tolist()
     whole = all(part.lstrip("+-").isdigit() for part in parts[:2]) and all(value.is_integer() for value in spaced)
     return [int(value) for value in spaced] if whole else spaced

@@ -8,20 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import listed, shown
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.errors import CapacityError
+from warp_rigid.runs.assignments import Assignments
 from warp_rigid.runs.runner import set_each, step_frame
-from warp_rigid.runs.user_code import column_name
+from warp_rigid.runs.user_code import Failures, column_name
 from warp_rigid.scenes.demo import SI_UNITS
-from warp_rigid.sweep.columns import FINISHED, metadata_field
+from warp_rigid.sweep.columns import FINISHED
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView
-from warp_rigid.sweep.failures import Failures
-from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs, structure
-from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure
-from warp_rigid.sweep.observers import Observers
+from warp_rigid.sweep.job import Job, build_scene, run_inputs, structure
+from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, Observers, measure
 from warp_rigid.sweep.stopwatch import Stopwatch
 
 log = logging.getLogger("warp_rigid")
@@ -93,7 +91,7 @@ def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     return Prepared(sim, [runs[index] for index in order], views)
 
 
-def _launch_order(inputs: list[RunInputs], bodies: list[int]) -> list[int]:
+def _launch_order(inputs: list[Assignments], bodies: list[int]) -> list[int]:
     """Order of the runs of a batch: those with many bodies first, those with equal settings together.
 
     On a GPU neighbouring environments share a warp, which takes as long as the slowest of them, and a kernel ends
@@ -102,27 +100,6 @@ def _launch_order(inputs: list[RunInputs], bodies: list[int]) -> list[int]:
     kinds: dict[Any, int] = {}
     kind = [kinds.setdefault(tuple(run_input.settings.items()), len(kinds)) for run_input in inputs]
     return sorted(range(len(inputs)), key=lambda index: (-bodies[index], kind[index]))
-
-
-def replay(result: Any, row: Any, scene: Any = None, device: Any = None) -> Simulator:
-    """Build a simulator of one row in its initial state; see SweepResult.replay."""
-    if not isinstance(row, Mapping):
-        numbers = [one["run"] for one in result.rows]
-        if isinstance(row, bool) or not isinstance(row, int | np.integer) or row not in numbers:
-            raise ValueError(
-                f"row: must be one of the rows or the number of a run, {listed(numbers)}, got {shown(row)}"
-            )
-        row = result.rows[numbers.index(row)]
-    source = result.source if scene is None else scene
-    if source is None:
-        named = shown(result.about.get("source"))
-        raise ValueError(f"scene: must be given: a file named in a table is not run, and the table names {named}")
-    demo, scene_id = resolve_scene(source)
-    if scene_id != result.about.get("scene"):
-        raise ValueError(f"scene: must be that of the rows, {result.about.get('scene')}, got {scene_id}")
-    job = Job(demo, scene_id, metadata_field(result.about, "fixed"), demo.duration, 1.0, (), device=device)
-    parameters = {name: row[name] for name in metadata_field(result.about, "parameters")}
-    return prepare(job, [Run(0, row["id"], parameters, row["seed"])]).sim
 
 
 def run_batch(job: Job, runs: Sequence[Run], on_done: Callable[[float], object] = lambda done: None) -> Batch:
@@ -282,7 +259,7 @@ def _trajectories(prepared: Prepared, rows: list[dict], frames: dict[str, list])
     return found
 
 
-def _set_all(sim: Simulator, inputs: list[RunInputs]) -> None:
+def _set_all(sim: Simulator, inputs: list[Assignments]) -> None:
     """Set the settings that differ between environments, and all properties."""
     for name in inputs[0].settings:
         values = [run_input.settings[name] for run_input in inputs]

@@ -85,7 +85,9 @@ def split_into_batches(
     """
     batches: list[list[SizedRun]] = []
     for runs in groups:
-        size = _batch_size(len(runs), most if batch == "auto" else int(batch), workers)
+        # Spread evenly over batches and workers.
+        rounds = math.ceil(len(runs) / (workers * (most if batch == "auto" else int(batch))))
+        size = max(1, math.ceil(len(runs) / (workers * rounds)))
         for first in range(0, len(runs), size):
             some = runs[first : first + size]
             batches += [some] if batch != "auto" else _fitting(some, int(MEMORY_FRACTION * memory))
@@ -115,9 +117,3 @@ def _fitting(runs: list[SizedRun], memory: int) -> list[list[SizedRun]]:
         return [runs]
     middle = len(runs) // 2
     return _fitting(runs[:middle], memory) + _fitting(runs[middle:], memory)
-
-
-def _batch_size(count: int, most: int, workers: int = 1) -> int:
-    """Batch size, at most `most`, that distributes `count` runs evenly over batches and workers."""
-    rounds = math.ceil(count / (workers * most))
-    return max(1, math.ceil(count / (workers * rounds)))

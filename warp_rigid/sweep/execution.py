@@ -24,16 +24,14 @@ from warp_rigid.runs.user_code import column_name
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
-from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
 from warp_rigid.sweep.design import MAX_RUNS, Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
-from warp_rigid.sweep.metrics import check_metrics
-from warp_rigid.sweep.observers import check_observers
+from warp_rigid.sweep.metrics import check_metrics, check_observers
 from warp_rigid.sweep.series import Series, Trajectories, ZarrSeries
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
-from warp_rigid.sweep.worker_processes import MAX_WORKERS, WorkerProcesses
+from warp_rigid.sweep.workers import MAX_WORKERS, WorkerProcesses, run_on_cluster
 from warp_rigid.version import __version__
 from warp_rigid.warp_start import start_warp
 
@@ -102,7 +100,7 @@ def sweep(
         overwrite: replace `output`.
         trajectories: a .zarr folder for the poses of every sample.
         observe: names of built-in observers, functions of the simulator, classes, or .py files of these, called at
-            every sample; their values at the end are columns. See warp_rigid.sweep.observers.
+            every sample; their values at the end are columns. See warp_rigid.sweep.metrics.
         series: names of built-in observers, or of functions of `observe`, whose values at every sample are kept in the
             folder TABLE.series beside `output`, or in memory. `SweepResult.series` reads them.
         series_output: a .zarr folder for the series instead.

@@ -16,7 +16,7 @@ from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.precision import check_mass_ratio, check_precision
 from warp_rigid.engine.quantities import LACKED, VELOCITIES, check_vectors
 from warp_rigid.engine.settings import Settings
-from warp_rigid.runs.assignments import assignment_target
+from warp_rigid.runs.assignments import Assignments, assignment_target
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome
 from warp_rigid.runs.runner import find_scene, selected
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -24,7 +24,7 @@ from warp_rigid.scene.scene import SURFACE_VELOCITIES, Body, Motion, Scene, chec
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, digest, stable_hash
-from warp_rigid.sweep.observers import named_observers
+from warp_rigid.sweep.metrics import named_observers
 
 MAX_CACHED_SCENES = 4096
 """Maximum number of scenes cached between the validation of a design and its runs; others are built again."""
@@ -63,26 +63,6 @@ class Job:
     series: tuple[str, ...] = ()
     device: Any = None
     scenes: dict[str, Scene] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class RunInputs:
-    """The values of one run, by target.
-
-    Attributes:
-        scene: scene parameters.
-        settings: settings, including dt.
-        properties: body properties and gravity.
-    """
-
-    scene: dict[str, Any]
-    settings: dict[str, Any]
-    properties: dict[str, Any]
-
-    @property
-    def scene_key(self) -> str:
-        """Key that is equal for runs of the same scene."""
-        return repr(sorted(self.scene.items()))
 
 
 def resolve_scene(scene: Any) -> tuple[Demo, str]:
@@ -146,14 +126,14 @@ def make_runs(job: Job, points: list[tuple[dict[str, Any], int]], seed: int | No
     return runs
 
 
-def run_inputs(job: Job, runs: Sequence[Run]) -> list[RunInputs]:
+def run_inputs(job: Job, runs: Sequence[Run]) -> list[Assignments]:
     """Sort the values of each run by target."""
     known = job.demo.parameters
     names = [*job.fixed, *(runs[0].parameters if runs else ())]
     places = {name: assignment_target(name, known, "fixed" if name in job.fixed else "axis") for name in names}
     found = []
     for run in runs:
-        inputs = RunInputs({}, dict(job.demo.settings), {})
+        inputs = Assignments(settings=dict(job.demo.settings))
         targets = {"scene": inputs.scene, "setting": inputs.settings, "property": inputs.properties}
         for name, value in {**job.fixed, **run.parameters}.items():
             targets[places[name]][name] = value
@@ -222,7 +202,7 @@ def _errors_of_run(run: Run) -> Iterator[None]:
         raise
 
 
-def build_scene(job: Job, inputs: RunInputs) -> Scene:
+def build_scene(job: Job, inputs: Assignments) -> Scene:
     """Build the scene of a run, or take it from the cache.
 
     Raises:

@@ -8,8 +8,7 @@ from warp_rigid.runs.user_code import column_name
 from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Uniform, clean_axes
 from warp_rigid.sweep.columns import COLUMNS, FINISHED
 from warp_rigid.sweep.execution import sweep
-from warp_rigid.sweep.metrics import OUTCOME, check_metrics
-from warp_rigid.sweep.observers import check_observers
+from warp_rigid.sweep.metrics import OUTCOME, check_metrics, check_observers
 
 
 def search(

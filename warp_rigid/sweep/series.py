@@ -53,7 +53,7 @@ class Series:
             runs: the runs of the batch.
             looks: "time" (runs, samples) [s] and for each name (runs, samples, ...) values.
         """
-        table = _table(runs, looks)
+        table = _table([run.index for run in runs], looks)
         if self.folder is None:
             self.parts.append(table)
             return
@@ -184,36 +184,23 @@ def read_series(folder: Any) -> Any:
     if not Path(folder).is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
     if Path(folder).suffix == ZARR:
-        return _table_of_zarr(Path(folder))
+        import zarr
+
+        root: Any = zarr.open_group(Path(folder), mode="r")
+        looks = {name: root[name][:] for name in ("time", *root.attrs["warp_rigid"]["series"]) if "time" in root}
+        return _table(range(len(looks["time"])), looks) if looks else _in_order([])
     # A process that is killed while it writes leaves a temporary file, whose name begins with a dot.
     return _in_order([pyarrow.parquet.read_table(path) for path in sorted(Path(folder).glob("[!.]*.parquet"))])
 
 
-def _table_of_zarr(folder: Path) -> Any:
-    """The finished samples of all runs."""
-    import pyarrow
-    import zarr
-
-    root: Any = zarr.open_group(folder, mode="r")
-    if "time" not in root:
-        return _in_order([])
-    time = root["time"][:]
-    done = np.isfinite(time)
-    columns: dict[str, Any] = {"run": np.nonzero(done)[0], "time": time[done]}
-    for name in root.attrs["warp_rigid"]["series"]:
-        values = root[name][:][done]
-        columns[name] = values if values.ndim == 1 else list(values)
-    return pyarrow.table(columns)
-
-
-def _table(runs: Sequence[Run], looks: dict[str, np.ndarray]) -> Any:
-    """One row for each run and sample, run by run."""
+def _table(runs: Any, looks: dict[str, np.ndarray]) -> Any:
+    """One row for each run and finished sample, run by run; looks as for Series.add."""
     import pyarrow
 
-    rows = np.repeat(np.array([run.index for run in runs], np.int64), looks["time"].shape[1])
-    columns: dict[str, Any] = {"run": rows}
+    done = np.isfinite(looks["time"])
+    columns: dict[str, Any] = {"run": np.asarray(runs, np.int64)[np.nonzero(done)[0]]}
     for name, values in looks.items():
-        columns[name] = values.ravel() if values.ndim == 2 else list(values.reshape(len(rows), -1))
+        columns[name] = values[done] if values.ndim == 2 else list(values[done])
     return pyarrow.table(columns)
 
 

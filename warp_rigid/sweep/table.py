@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
-from warp_rigid.checks import shown, suggestion
+from warp_rigid.checks import listed, shown, suggestion
 from warp_rigid.display import html_of
 from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file, check_replaceable
 from warp_rigid.sweep.axes import plain
-from warp_rigid.sweep.batch_run import Batch, replay
+from warp_rigid.sweep.batch_run import Batch, prepare
 from warp_rigid.sweep.columns import COLUMNS, FINISHED, METADATA_TYPES, REQUIRED_COLUMNS, metadata_field, unit_of
 from warp_rigid.sweep.design import MAX_RUNS, Run
-from warp_rigid.sweep.frames import arrow_table, dataset
+from warp_rigid.sweep.job import Job, resolve_scene
 from warp_rigid.sweep.result_plots import plot
 from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries, series_folder
 
@@ -119,7 +119,11 @@ class SweepResult:
 
     def to_arrow(self) -> Any:
         """The rows as a pyarrow.Table, with units as the metadata `unit` of the fields."""
-        return arrow_table(self)
+        pyarrow = need("pyarrow")
+        columns = {name: _arrow_column(name, [row.get(name) for row in self.rows]) for name in self.names}
+        units = {name: {"unit": unit} for name, unit in self.units.items()}
+        fields = [pyarrow.field(name, column.type, metadata=units.get(name)) for name, column in columns.items()]
+        return pyarrow.table(list(columns.values()), schema=pyarrow.schema(fields))
 
     def to_pandas(self) -> Any:
         """The rows as a pandas.DataFrame, with `units` as attrs["units"].
@@ -149,7 +153,21 @@ class SweepResult:
         Raises:
             ModuleNotFoundError: xarray is not installed.
         """
-        return dataset(self)
+        xarray = need("xarray")
+        grid = _grid(self) if self.rows else None
+        row = "row" if grid else "run"
+        found = xarray.Dataset({name: _variable(row, name, self.column(name)) for name in self.names})
+        if grid:
+            if "repeat" in grid:
+                found["repeat"] = row, found["run"].values % len(grid["repeat"])
+            # Runs that are missing are filled with NaN.
+            found = found.set_index({row: list(grid)}).unstack(row).reindex(grid).transpose(*grid, ...)
+        else:
+            found = found.set_coords([name for name in self.axes if name in found])
+        for name, unit in self.units.items():
+            found[name].attrs["units"] = unit
+        found.attrs.update({name: self.about[name] for name in ("scene", "version") if name in self.about})
+        return found
 
     def to_parquet(self, path: Any) -> None:
         """Write the rows to a Parquet file and the metadata to PATH.json.
@@ -177,7 +195,24 @@ class SweepResult:
         Raises:
             ValueError: The row is invalid, or the scene is missing or not that of the rows.
         """
-        return replay(self, row, scene, device)
+        if not isinstance(row, Mapping):
+            given: Any = row
+            numbers = [one["run"] for one in self.rows]
+            if isinstance(given, bool) or not isinstance(given, int | np.integer) or given not in numbers:
+                raise ValueError(
+                    f"row: must be one of the rows or the number of a run, {listed(numbers)}, got {shown(row)}"
+                )
+            row = self.rows[numbers.index(row)]
+        source = self.source if scene is None else scene
+        if source is None:
+            named = shown(self.about.get("source"))
+            raise ValueError(f"scene: must be given: a file named in a table is not run, and the table names {named}")
+        demo, scene_id = resolve_scene(source)
+        if scene_id != self.about.get("scene"):
+            raise ValueError(f"scene: must be that of the rows, {self.about.get('scene')}, got {scene_id}")
+        job = Job(demo, scene_id, metadata_field(self.about, "fixed"), demo.duration, 1.0, (), device=device)
+        parameters = {name: row[name] for name in metadata_field(self.about, "parameters")}
+        return prepare(job, [Run(0, row["id"], parameters, row["seed"])]).sim
 
     def plot(self, path: Any = None, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
         """Plot the rows and return the matplotlib Figure, which a notebook shows as the value of a cell.
@@ -235,7 +270,10 @@ class ResultFile:
         check_replaceable(self.path)
         check_replaceable(sidecar_of(self.path))
         if self.path.exists() and resume:
-            self._load_finished()
+            before = read(self.path)
+            check_same_sweep(self.path, before.about, about)
+            self.rows = {row["id"]: row for row in before.rows if row["status"] in FINISHED}
+            about["units"] = before.about.get("units", {})
         elif self.path.exists() and not overwrite:
             raise ValueError(f"{self.path}: {EXISTS}")
 
@@ -289,13 +327,6 @@ class ResultFile:
     def result(self) -> SweepResult:
         """The rows so far."""
         return SweepResult(list(self.rows.values()), self.about, self.source, self.series)
-
-    def _load_finished(self) -> None:
-        """Load the finished rows of the file."""
-        before = read(self.path)
-        check_same_sweep(self.path, before.about, self.about)
-        self.rows = {row["id"]: row for row in before.rows if row["status"] in FINISHED}
-        self.about["units"] = before.about.get("units", {})
 
 
 def check_same_sweep(path: Any, before: dict[str, Any], now: dict[str, Any]) -> None:
@@ -419,3 +450,44 @@ def _objects(values: list) -> np.ndarray:
     found = np.empty(len(values), object)
     found[:] = values
     return found
+
+
+def _variable(row: str, name: str, values: np.ndarray) -> tuple:
+    """A column: its dimensions and values. The components of vectors have a dimension of their own."""
+    if values.dtype == object and len({np.shape(value) for value in values}) == 1 and np.shape(values[0]):
+        values = np.array(values.tolist())
+    inner = (f"{name}_component" if k == 1 else f"{name}_component_{k}" for k in range(1, values.ndim))
+    return (row, *inner), values
+
+
+def _grid(result: Any) -> dict[str, np.ndarray] | None:
+    """The values of each axis of a grid of single values, and the repeats; None for other designs."""
+    design = result.about.get("design") or {}
+    values = design.get("axes") or {}
+    if design.get("kind") != "grid" or not values or not all(map(_is_coordinate, values.values())):
+        return None
+    if any(row[name] not in axis for row in result.rows for name, axis in values.items()):
+        return None  # values of different types, which a file keeps as text
+    repeats = design.get("repeats") or 1
+    return {name: np.array(axis) for name, axis in values.items()} | (
+        {"repeat": np.arange(repeats)} if repeats > 1 else {}
+    )
+
+
+def _is_coordinate(axis: Any) -> bool:
+    """Whether an axis is a list of different single values, and no distribution."""
+    single = isinstance(axis, list) and not any(isinstance(value, list | tuple) for value in axis)
+    return single and len(set(axis)) == len(axis)
+
+
+def _arrow_column(name: str, values: list) -> Any:
+    """Convert a column to an Arrow array; mixed types become strings, an empty column becomes floats."""
+    import pyarrow
+
+    try:
+        column = pyarrow.array(values)
+    except (pyarrow.ArrowInvalid, pyarrow.ArrowTypeError):
+        column = pyarrow.array([None if value is None else str(value) for value in values])
+    if not pyarrow.types.is_null(column.type):
+        return column
+    return column.cast(pyarrow.string() if name == "reason" else pyarrow.float64())
