@@ -40,8 +40,8 @@ _NAMES = (
 )
 """Files of this folder, which are imported when they are needed.
 
-Each defines SUMMARY, DURATION, `build` and `outcome`, and where it needs them VARIANTS, SETTINGS,
-GOES_WITH and the functions `events` and `vary`: the attributes of a Demo.
+The first line of each is its summary. Each defines DURATION, `build` and `outcome`, and where it needs them VARIANTS,
+SETTINGS, GOES_WITH and the functions `events` and `vary`: the attributes of a Demo.
 """
 
 
@@ -65,13 +65,14 @@ def get(name: str) -> Demo:
 @cache
 def _demo(name: str) -> Demo:
     module = import_module(f"{__name__}.{name}")
+    sentence = (module.__doc__ or " ").partition("\n")[0]
     return Demo(
         name,
-        module.SUMMARY,
+        sentence[0].lower() + sentence[1:].removesuffix("."),
         module.build,
         module.outcome,
         module.DURATION,
-        getattr(module, "VARIANTS", {"default": {}}),
+        {"default": {}} | getattr(module, "VARIANTS", {}),
         getattr(module, "events", no_events),
         getattr(module, "SETTINGS", {}),
         getattr(module, "vary", None),

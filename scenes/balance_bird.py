@@ -1,4 +1,4 @@
-"""A toy bird that balances on the tip of its beak, because its centre of mass is below that point."""
+"""A bird balances on its beak and swings with the period of a pendulum."""
 
 import math
 
@@ -143,6 +143,5 @@ def _period(times, angle):
     return 2.0 * (passed[-1] - passed[0]) / (len(passed) - 1)
 
 
-SUMMARY = "a bird balances on its beak and swings with the period of a pendulum"
 outcome = BirdOutcome
 DURATION = 5.0

@@ -1,4 +1,4 @@
-"""Bones fall through a funnel into a walled plot.
+"""Craniums, pelvises and femurs fall through a funnel into a walled plot.
 
 Friction, restitution and the kinds' shares are those of Guendelman, Bridson and Fedkiw 2003 (300 craniums, 150 pelvises
 and 50 femurs). Their rolling friction of 0.1 has no unit; here it is a tenth of a femur's thickness [m]. The shapes and
@@ -122,8 +122,7 @@ class BonesOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "craniums, pelvises and femurs fall through a funnel into a walled plot"
 outcome = BonesOutcome
 DURATION = 4.0
-VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
+VARIANTS = {"one_pass": ONE_PASS_2003}
 vary = vary_starts("bone_", starts)

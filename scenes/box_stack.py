@@ -1,4 +1,4 @@
-"""Boxes fall one after another into a stack on a platform; later a projectile hits the stack."""
+"""Boxes fall into a stack on a platform, then a projectile knocks it over."""
 
 import numpy as np
 
@@ -102,11 +102,9 @@ class StackOutcome(OverlapOutcome):
         return verdicts
 
 
-SUMMARY = "boxes fall into a stack on a platform, then a projectile knocks it over"
 outcome = StackOutcome
 DURATION = 10.0
 VARIANTS = {
-    "default": {},
     "one_pass": {**ONE_PASS_2003, "contact_iterations": 2},
     "off": {**OFF_2003, "contact_iterations": 2},
 }

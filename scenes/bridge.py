@@ -1,4 +1,4 @@
-"""A rope bridge of fifty planks carries a load that hangs from its middle."""
+"""A rope bridge of fifty planks carries a load a thousand times heavier than one of them."""
 
 import numpy as np
 
@@ -89,6 +89,5 @@ class BridgeOutcome(ClosedJointsOutcome):
         ]
 
 
-SUMMARY = "a rope bridge of fifty planks carries a load a thousand times heavier than one of them"
 outcome = BridgeOutcome
 DURATION = 12.0

@@ -1,4 +1,4 @@
-"""Bunnies fall into an open box."""
+"""Bunnies fall into an open box and settle."""
 
 import numpy as np
 
@@ -44,9 +44,8 @@ class PileOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "bunnies fall into an open box and settle"
 outcome = PileOutcome
 # A bunny that lands on its back may rock for seven seconds.
 DURATION = 10.0
-VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
+VARIANTS = {"one_pass": ONE_PASS_2003}
 vary = vary_starts("bunny_", piles.starts)

@@ -1,4 +1,4 @@
-"""Bodies on ground that moves as a travelling wave, which throws and transports them."""
+"""A travelling wave of the ground throws and transports bodies."""
 
 from typing import Any
 
@@ -88,7 +88,6 @@ class CarpetOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "a travelling wave of the ground throws and transports bodies"
 outcome = CarpetOutcome
 DURATION = 4.0
 vary = vary_starts("body_", starts)

@@ -1,4 +1,4 @@
-"""A chain of a hundred links carries a ball a thousand times heavier than a link."""
+"""A hundred links carry a ball a thousand times heavier than one of them."""
 
 from typing import Any
 
@@ -48,6 +48,5 @@ class ChainOutcome(ClosedJointsOutcome):
         return [self.closed_verdict(1e-4)]
 
 
-SUMMARY = "a hundred links carry a ball a thousand times heavier than one of them"
 outcome = ChainOutcome
 DURATION = 4.0

@@ -1,4 +1,4 @@
-"""Newton's cradle: balls on strings pass on an impact."""
+"""The last ball of Newton's cradle flies off with the speed of the first."""
 
 import math
 
@@ -63,6 +63,5 @@ class CradleOutcome:
         ]
 
 
-SUMMARY = "Newton's cradle: the last ball flies off with the speed of the first"
 outcome = CradleOutcome
 DURATION = 2.0

@@ -1,4 +1,4 @@
-"""A crane lifts the upper box from a pile; the other boxes do not move."""
+"""A crane lifts the upper box from a pile without moving the others."""
 
 import numpy as np
 
@@ -58,6 +58,5 @@ class CraneOutcome(SceneOutcome):
         ]
 
 
-SUMMARY = "a crane lifts the upper box from a pile without moving the others"
 outcome = CraneOutcome
 DURATION = 4.0

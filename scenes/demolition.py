@@ -1,4 +1,4 @@
-"""A ball on a chain swings into a wall of 500 bricks."""
+"""A ball on a chain swings into a wall of bricks; the chain stays closed."""
 
 import numpy as np
 
@@ -70,6 +70,5 @@ class DemolitionOutcome(ClosedJointsOutcome):
         ]
 
 
-SUMMARY = "a ball on a chain swings into a wall of bricks; the chain stays closed"
 outcome = DemolitionOutcome
 DURATION = 3.0

@@ -1,4 +1,4 @@
-"""Dominoes along a spiral: the first one leans, and topples the others if it leans far enough."""
+"""A leaning domino topples a spiral of others, if it leans by more than atan(thickness / height)."""
 
 import math
 
@@ -119,9 +119,8 @@ class DominoOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "a leaning domino topples a spiral of others, if it leans by more than atan(thickness / height)"
 outcome = DominoOutcome
 DURATION = 5.0
-VARIANTS = {"default": {}, "two_pass": {"shock_propagation": "two_pass"}}
+VARIANTS = {"two_pass": {"shock_propagation": "two_pass"}}
 # The fallen dominoes lean on each other in a row and do not stack, so shock propagation is of no use.
 SETTINGS = {"shock_propagation": "off", "contact_iterations": 40}

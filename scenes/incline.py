@@ -1,4 +1,4 @@
-"""A block with high restitution and friction rests on an inclined platform."""
+"""A bouncy but sticky block stays on a slope, if collisions precede the velocity update."""
 
 import math
 
@@ -80,11 +80,9 @@ class InclineOutcome(SceneOutcome):
         ]
 
 
-SUMMARY = "a bouncy but sticky block stays on a slope, if collisions precede the velocity update"
 outcome = InclineOutcome
 DURATION = 5.0
 VARIANTS = {
-    "default": {},
     "one_pass": ONE_PASS_2003,
     "no_contact": {"contact_iterations": 0, "shock_propagation": "off", "warm_starting": False},
     "collisions_last": {**ONE_PASS_2003, "collision_first": False},

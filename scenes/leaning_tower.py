@@ -1,4 +1,4 @@
-"""A tower of boxes, each offset sideways from the one below by the same distance, which may topple."""
+"""A tower of boxes that leans too far must topple; the one-pass method of 2003 keeps it standing."""
 
 from dataclasses import replace
 
@@ -62,11 +62,9 @@ class TowerOutcome(SceneOutcome):
         return [replace(verdict, expected=expected)]
 
 
-SUMMARY = "a tower of boxes that leans too far must topple; the one-pass method of 2003 keeps it standing"
 outcome = TowerOutcome
 DURATION = 4.0
 VARIANTS = {
-    "default": {},
     "off": OFF_2003,
     "one_pass": ONE_PASS_2003,
     "two_pass": {"shock_propagation": "two_pass", "warm_starting": False},

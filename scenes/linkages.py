@@ -1,4 +1,4 @@
-"""Driven linkages with closed loops: a four-bar linkage and a slider-crank."""
+"""A four-bar linkage and a slider-crank turn; both follow their closed forms."""
 
 import math
 
@@ -107,6 +107,5 @@ class LinkageOutcome(SceneOutcome):
         ]
 
 
-SUMMARY = "a four-bar linkage and a slider-crank turn; both follow their closed forms"
 outcome = LinkageOutcome
 DURATION = 4.0

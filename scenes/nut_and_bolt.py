@@ -1,4 +1,4 @@
-"""A nut turns down a bolt by its weight, if the thread is steeper than friction holds."""
+"""A nut turns down a bolt by its weight, unless friction locks the thread."""
 
 import math
 
@@ -112,6 +112,5 @@ class NutOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "a nut turns down a bolt by its weight, unless friction locks the thread"
 outcome = NutOutcome
 DURATION = 2.0

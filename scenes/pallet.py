@@ -63,6 +63,5 @@ class PalletOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "twelve welded boxes fall on the ground and keep their common shape"
 outcome = PalletOutcome
 DURATION = 3.0

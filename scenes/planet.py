@@ -1,4 +1,4 @@
-"""Bodies fall from all sides on a small planet and settle all around it; there is no global up direction."""
+"""Bodies fall from all sides on a small planet and settle all around it."""
 
 import numpy as np
 
@@ -81,7 +81,6 @@ class PlanetOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "bodies fall from all sides on a small planet and settle all around it"
 outcome = PlanetOutcome
 DURATION = 8.0
 vary = vary_starts("body_", starts)

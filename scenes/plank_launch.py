@@ -1,4 +1,4 @@
-"""A large box falls on the free end of a plank and launches small boxes from its other end."""
+"""A large box falls on one end of a plank and launches small boxes from the other."""
 
 import math
 
@@ -67,7 +67,6 @@ class LaunchOutcome(SceneOutcome):
         return verdicts
 
 
-SUMMARY = "a large box falls on one end of a plank and launches small boxes from the other"
 outcome = LaunchOutcome
 DURATION = 3.0
-VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003}
+VARIANTS = {"one_pass": ONE_PASS_2003, "off": OFF_2003}

@@ -1,4 +1,4 @@
-"""Ragdolls fall into a pit and come to rest."""
+"""Ragdolls fall into a pit and come to rest; no joint opens and none escapes."""
 
 import numpy as np
 
@@ -48,6 +48,5 @@ class RagdollOutcome(ClosedJointsOutcome):
         ]
 
 
-SUMMARY = "ragdolls fall into a pit and come to rest; no joint opens and none escapes"
 outcome = RagdollOutcome
 DURATION = 8.0

@@ -1,4 +1,4 @@
-"""Rings fall on a field of poles: nonconvex bodies that thread, lean and interlock.
+"""Rings fall on a field of poles, thread, lean and interlock.
 
 Mass, friction, restitution, tilt and the cylinder of starts are those of Guendelman, Bridson and Fedkiw 2003 (500 or
 1000 rings of 10 kg over 25 poles 7 m apart); the sizes of rings and poles are not from the paper.
@@ -138,8 +138,7 @@ class RingsOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "rings fall on a field of poles, thread, lean and interlock"
 outcome = RingsOutcome
 DURATION = 8.0
-VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
+VARIANTS = {"one_pass": ONE_PASS_2003}
 vary = vary_starts("ring_", starts)

@@ -1,4 +1,4 @@
-"""A large and a small block on a seesaw, which tips first to one side and then to the other."""
+"""The large block tips the seesaw and slides off, then the small one tips it back."""
 
 import math
 
@@ -84,7 +84,6 @@ class SeesawOutcome(SceneOutcome):
         ]
 
 
-SUMMARY = "the large block tips the seesaw and slides off, then the small one tips it back"
 outcome = SeesawOutcome
 DURATION = 4.0
-VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003, "no_contact": {**ONE_PASS_2003, "contact_iterations": 0}}
+VARIANTS = {"one_pass": ONE_PASS_2003, "no_contact": {**ONE_PASS_2003, "contact_iterations": 0}}

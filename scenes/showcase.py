@@ -67,7 +67,6 @@ class RainOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "random convex bodies fall on a fixed slab and come to rest"
 outcome = RainOutcome
 DURATION = 4.0
 vary = vary_starts("body_", starts)

@@ -1,4 +1,4 @@
-"""An open skull and then a brain fall on a platform: contact between two arbitrary meshes."""
+"""An open skull and then a brain fall on a platform, collide, bounce and settle."""
 
 import math
 import os
@@ -101,7 +101,6 @@ class MeetingOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "an open skull and then a brain fall on a platform, collide, bounce and settle"
 outcome = MeetingOutcome
 DURATION = 6.0
-VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
+VARIANTS = {"one_pass": ONE_PASS_2003}

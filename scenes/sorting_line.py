@@ -1,4 +1,4 @@
-"""A conveyor belt carries parcels, and an arm that follows a path sends the large ones into another bin."""
+"""A belt carries parcels, and an arm on a path sends the large ones into another bin."""
 
 import math
 
@@ -138,7 +138,6 @@ class SortingOutcome(SceneOutcome):
         return found
 
 
-SUMMARY = "a belt carries parcels, and an arm on a path sends the large ones into another bin"
 outcome = SortingOutcome
 DURATION = 8.0
-VARIANTS = {"default": {}, "one_pass": ONE_PASS_2003}
+VARIANTS = {"one_pass": ONE_PASS_2003}

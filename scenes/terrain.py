@@ -1,4 +1,4 @@
-"""Bodies slide without friction over a concave terrain; impacts dissipate energy, sliding does not."""
+"""Bodies slide without friction over a concave terrain."""
 
 from typing import Any
 
@@ -88,7 +88,6 @@ class SlideOutcome(OverlapOutcome):
         ]
 
 
-SUMMARY = "bodies slide without friction over a concave terrain"
 outcome = SlideOutcome
 DURATION = 5.0
 vary = vary_starts("body_", starts)

@@ -1,4 +1,4 @@
-"""A ball rolls down a ramp into pyramids of cubes, which have stood still until then."""
+"""A ball rolls down a ramp and breaks pyramids that have stood still."""
 
 import math
 from typing import Any
@@ -107,6 +107,5 @@ class WreckOutcome(OverlapOutcome):
         return verdicts
 
 
-SUMMARY = "a ball rolls down a ramp and breaks pyramids that have stood still"
 outcome = WreckOutcome
 DURATION = 5.0
