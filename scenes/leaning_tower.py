@@ -8,6 +8,7 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, SceneOutcome, Verdict, below
 
 HALF = float(stacks.CUBE.half_extents[2])
@@ -27,7 +28,8 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     offset = number_in("offset", offset, 0.0, 0.45)
     scene = grounds.level_scene(friction=0.5, name="ground", camera=Camera.orbit(-80.0, 14.0))
     grounds.add_platform(scene, 0.5, 0.5, PLATFORM_TOP, friction=0.5, name="platform")
-    stacks.add_stack(scene, height, bottom=PLATFORM_TOP, lean=2.0 * HALF * offset, names="box", friction=0.5)
+    places = stacks.column(height, bottom=PLATFORM_TOP, lean=2.0 * HALF * offset)
+    add_bodies(scene, stacks.CUBE, places, names="box", friction=0.5)
     return scene
 
 

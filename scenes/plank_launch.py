@@ -7,6 +7,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, SceneOutcome, Verdict, below, clearance
 
 BASE_HALF = (1.0, 0.25, 0.5)
@@ -32,7 +33,8 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
     scene.add_body(Box(PLANK_HALF), position=(PLANK_X, 0, z + PLANK_HALF[2]), mass=10.0, name="plank")
     z += 2.0 * PLANK_HALF[2]
     left = PLANK_X - PLANK_HALF[0] + 1.5 * SMALL_HALF
-    stacks.add_stack(scene, blocks, Box((SMALL_HALF,) * 3), x=left, bottom=z, names="small", mass=1.0, restitution=0.3)
+    places = stacks.column(blocks, bottom=z) + [left, 0.0, 0.0]
+    add_bodies(scene, stacks.CUBE, places, names="small", mass=1.0, restitution=0.3)
     right = PLANK_X + PLANK_HALF[0] - LARGE_HALF
     scene.add_body(Box((LARGE_HALF,) * 3), position=(right, 0, z + drop + LARGE_HALF), mass=100.0, name="large")
     return scene

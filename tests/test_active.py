@@ -12,6 +12,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 
 HALF, CUBE = 0.1, stacks.CUBE
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -19,7 +20,7 @@ STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 
 def stack(height=3, **options):
     scene = ground_scene(friction=0.5)
-    stacks.add_stack(scene, height, **options)
+    add_bodies(scene, stacks.CUBE, stacks.column(height), **options)
     return scene
 
 

@@ -20,7 +20,7 @@ def separations(scene, bodies):
 @pytest.mark.parametrize("shape", [Box((0.2, 0.1, 0.05)), Sphere(0.3)])
 def test_a_stack_stands_on_its_support_with_equal_gaps(shape):
     scene = grounds.level_scene()
-    rows = stacks.add_stack(scene, 4, shape, bottom=0.5, gap=0.01, lean=0.02)
+    rows = add_bodies(scene, shape, stacks.column(4, shape, bottom=0.5, gap=0.01, lean=0.02))
     position = np.array([scene.bodies[i].position for i in rows])
     half = 0.05 if isinstance(shape, Box) else 0.3
     np.testing.assert_allclose(position[:, 2] - half, [0.51 + k * (2 * half + 0.01) for k in range(4)])
@@ -40,8 +40,8 @@ def test_the_steepest_tower_that_stands_has_harmonic_overhangs(count):
     ("add", "count"),
     [
         (lambda scene: add_bodies(scene, stacks.CUBE, stacks.pyramid(4)), 10),
-        (lambda scene: stacks.add_crossed_layers(scene, 4), 8),
-        (lambda scene: stacks.add_card_house(scene, 2, np.radians(25.0)), 7),
+        (lambda scene: add_bodies(scene, *stacks.crossed_layers(4)), 8),
+        (lambda scene: add_bodies(scene, *stacks.card_house(2, np.radians(25.0))), 7),
     ],
 )
 def test_structures_of_boxes_touch_without_overlap(add, count):
@@ -58,7 +58,7 @@ def test_structures_of_boxes_touch_without_overlap(add, count):
 def test_stones_of_an_arch_meet_in_whole_faces(stones, thickness):
     """Neighbours share the four corners of a joint; the outer joints lie on the ground."""
     scene = grounds.level_scene()
-    rows = stacks.add_arch(scene, stones, 5.0, thickness)
+    rows = add_bodies(scene, *stacks.arch(stones, 5.0, thickness))
     bodies = [scene.bodies[i] for i in rows]
     corners = [rotate(np.array(b.orientation), b.shape.vertices) + b.position for b in bodies]
     for one, other in itertools.pairwise(corners):
@@ -74,7 +74,7 @@ def test_stones_of_an_arch_meet_in_whole_faces(stones, thickness):
 
 def test_balls_of_a_pyramid_touch_four_below():
     scene = grounds.level_scene()
-    rows = stacks.add_ball_pyramid(scene, 3, 0.1)
+    rows = add_bodies(scene, Sphere(0.1), stacks.ball_pyramid(3, 0.1))
     place = np.array([scene.bodies[i].position for i in rows])
     distance = np.linalg.norm(place[:, None] - place[None], axis=-1)
     below = (np.abs(distance - 0.2) < 1e-12) & (place[None, :, 2] < place[:, None, 2] - 1e-9)

@@ -11,6 +11,7 @@ from warp_rigid.kernels.tuning import CALM_CONVERGED, MOST_IN_MOTION
 from warp_rigid.kernels.update.predict import LARGEST_UNIT
 from warp_rigid.scene.shapes import Box, Cylinder, Mesh
 from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.validation import towers
 
 RADIUS = 5.0
@@ -19,7 +20,7 @@ RADIUS = 5.0
 def arch(device, stones, ratio, rate, **settings):
     """A simulator with a semicircular arch, and the index of its middle stone."""
     scene = ground_scene(friction=0.8)
-    stacks.add_arch(scene, stones, RADIUS, ratio * RADIUS, friction=0.8)
+    add_bodies(scene, *stacks.arch(stones, RADIUS, ratio * RADIUS), friction=0.8)
     return Simulator(scene, settings=Settings(dt=1.0 / rate, **settings), device=device), 1 + stones // 2
 
 
@@ -106,7 +107,7 @@ def test_impulses_add_no_energy_to_towers_that_topple(device):
 def test_a_calm_island_is_swept_further_beside_a_moving_one(device):
     """The arch stands while boxes beside it tumble; the residual is that of the boxes."""
     scene = ground_scene(friction=0.8)
-    stones = stacks.add_arch(scene, 15, RADIUS, 0.125 * RADIUS, friction=0.8)
+    stones = add_bodies(scene, *stacks.arch(15, RADIUS, 0.125 * RADIUS), friction=0.8)
     for k in range(6):
         scene.add_body(Box((0.2, 0.3, 0.1)), position=(0, 3 + 0.5 * k, 0.5), orientation=(0.1 * k, 0.2, 0.3, 1))
     sim = Simulator(scene, settings=Settings(dt=1.0 / 60), device=device)

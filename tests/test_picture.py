@@ -18,6 +18,7 @@ from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
 from warp_rigid.render.raycast import CUT, RayCaster
 from warp_rigid.runs.recording import record
 from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.usd import export_usd
 
@@ -330,7 +331,7 @@ def test_mp4_has_the_film_in_its_length_and_size(two_envs, tmp_path):
 
 def test_colours_tell_levels_and_speeds():
     scene = level_scene()
-    stacks.add_stack(scene, 3)
+    add_bodies(scene, stacks.CUBE, stacks.column(3))
     scene.add_body(Sphere(0.1), position=(1, 0, 5.0), linear_velocity=(3.0, 0, 0))
     recording = record(Simulator(scene, device="cpu"), 6, 60.0, velocities=True)
     film = film_from_recording(recording)

@@ -14,6 +14,7 @@ from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Plane, Sphere
 from warp_rigid.scenes.builders import meshes, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 HALF, CUBE = 0.1, stacks.CUBE
@@ -24,7 +25,7 @@ def stack_scene(height=3, places=(0.0,), **ground):
     """Stacks of cubes on the ground; the ground is body 0."""
     scene = ground_scene(friction=0.5, **ground)
     for x in places:
-        stacks.add_stack(scene, height, x=x)
+        add_bodies(scene, stacks.CUBE, stacks.column(height) + [x, 0.0, 0.0])
     return scene
 
 
@@ -91,7 +92,7 @@ def test_hardly_a_cylinder_stays_in_another(device):
 def test_a_stack_sleeps_within_two_seconds(device):
     """Dropped from a little above, so that it has to come to rest first; the ground is no sleeper."""
     scene = ground_scene(friction=0.5)
-    stacks.add_stack(scene, 10, gap=0.01)
+    add_bodies(scene, stacks.CUBE, stacks.column(10, gap=0.01))
     sim = sleeping_sim(scene, device, 2.0)
     assert asleep(sim) == list(range(1, 11))
     assert not Simulator(scene, device=device).get("asleep").any()
@@ -284,7 +285,7 @@ def test_a_blow_wakes_the_island_in_its_step(device):
 def test_a_support_that_goes_wakes_all_above(device, how):
     scene = Scene()
     table = scene.add_kinematic(Box((1, 1, 0.05)), position=(0, 0, -0.05), friction=0.5)
-    stacks.add_stack(scene, 4)
+    add_bodies(scene, stacks.CUBE, stacks.column(4))
     sim = sleeping_sim(scene, device)
     assert asleep(sim) == [1, 2, 3, 4]
     if how == "lowest cube":

@@ -25,7 +25,7 @@ def wall(rows, bricks):
 
 def stack_on(scene, friction):
     """A stack of cubes on the scene's ground."""
-    stacks.add_stack(scene, CUBES, friction=friction)
+    add_bodies(scene, stacks.CUBE, stacks.column(CUBES), friction=friction)
     return scene
 
 

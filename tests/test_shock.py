@@ -243,7 +243,7 @@ def test_a_stack_of_a_hundred_stands(device):
 def test_a_tower_of_crossed_beams_stands(device):
     """Every beam stands on two, thirty layers high: no pair can be solved without its neighbour."""
     scene = ground_scene(friction=0.5)
-    stacks.add_crossed_layers(scene, 30, friction=0.5)
+    add_bodies(scene, *stacks.crossed_layers(30), friction=0.5)
     sim, _ = opened(scene, device)
     before = sim.get("position")
     sim.step(480)
@@ -255,7 +255,7 @@ def heap_beside_a_tower(device):
     case = find_case("pile_box:140")
     scene = case.build()
     heap = moving(scene)
-    tower = stacks.add_stack(scene, 8, x=4.0)
+    tower = add_bodies(scene, stacks.CUBE, stacks.column(8) + [4.0, 0.0, 0.0])
     sim = Simulator(scene, settings=Settings(dt=1 / 120), device=device)
     sim.step(150)
     return sim, heap, tower

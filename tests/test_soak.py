@@ -40,7 +40,7 @@ def pile(count):
     scene = grounds.level_scene(friction=0.5, name="ground")
     side = half_width(count)
     grounds.add_bin(scene, side, 3.0, 0.1, sides=((1, 0), (-1, 0), (0, 1), (0, -1)), names="wall")
-    stacks.add_stack(scene, 3, x=-5.0, names="resting")
+    add_bodies(scene, stacks.CUBE, stacks.column(3) - [5.0, 0.0, 0.0], names="resting")
     shapes = [wr.Sphere(0.09) if k % 5 == 0 else wr.Box((0.1, 0.08, 0.06 + 0.01 * (k % 5))) for k in range(count)]
     positions = piles.lattice(count, int(2.0 * side / PITCH), PITCH, 0.3, rise=0.25)
     angles = 0.3 * np.arange(count)

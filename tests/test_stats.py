@@ -6,7 +6,8 @@ from tests.oracles import ground_scene, random_pile
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.scenes.builders.stacks import add_stack
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 
 
 def two_stacks():
@@ -101,7 +102,7 @@ def test_sweeps_are_those_of_the_settings_where_nothing_converges(device):
     """Cold starts of a stack under its weight: no sweep converges, so all that are allowed are done."""
     iterations = [1, 5, 10]
     scene = ground_scene()
-    add_stack(scene, 8)
+    add_bodies(scene, stacks.CUBE, stacks.column(8))
     sim = Simulator(scene, num_envs=3, settings=Settings(warm_starting=False), device=device)
     sim.set("shock_propagation", ["off"] * 3)
     sim.set("contact_iterations", iterations)

@@ -6,6 +6,7 @@ from typing import Any
 
 from warp_rigid.scene.scene import Scene, Vector
 from warp_rigid.scene.shapes.base import Shape
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene
 
 
@@ -28,6 +29,11 @@ def _with_parts(scene: Scene, parts: tuple[Callable[[Scene], Any], ...]) -> Scen
 def body(shape: Shape, **options: Any) -> Callable[[Scene], Any]:
     """A part of a scene: a body, with keywords of `Scene.add_body`."""
     return methodcaller("add_body", shape, **options)
+
+
+def bodies(*columns: Any, **options: Any) -> Callable[[Scene], Any]:
+    """A part of a scene: several bodies, with arguments of `add_bodies`."""
+    return lambda scene: add_bodies(scene, *columns, **options)
 
 
 def static(shape: Shape, **options: Any) -> Callable[[Scene], Any]:

@@ -1,15 +1,12 @@
 """Structures whose bodies start in contact: stacks, leaning towers, pyramids, crossed layers, card houses."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scene.shapes import Box
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.mesh import Mesh
-from warp_rigid.scenes.builders.bodies import add_bodies
 
 CUBE = Box((0.1, 0.1, 0.1))
 """Cube of 0.2 m, which has a mass of 8 kg at the default density."""
@@ -33,38 +30,6 @@ def column(count: int, shape: Shape = CUBE, *, bottom: float = 0.0, gap: float =
     level = np.arange(count)
     z = bottom + half + gap + level * (2.0 * half + gap)
     return np.stack([lean * level, np.zeros(count), z], axis=1)
-
-
-def add_stack(
-    scene: Scene,
-    count: int,
-    shape: Shape = CUBE,
-    *,
-    x: float = 0.0,
-    bottom: float = 0.0,
-    gap: float = 0.0,
-    lean: float = 0.0,
-    names: str | None = None,
-    **coefficients: Any,
-) -> list[int]:
-    """Add equal bodies on top of one another, lowest first: a stack or a leaning tower.
-
-    Args:
-        scene: the scene.
-        count: number of bodies.
-        shape: of every body, centred on its frame's origin.
-        x: of the stack's axis [m].
-        bottom: height of the support [m].
-        gap: vertical distance below every body [m].
-        lean: offset of every body along x from the one below [m].
-        names: prefix of the bodies' names, followed by their numbers.
-        **coefficients: as in `add_bodies`.
-
-    Returns:
-        Indices of the bodies.
-    """
-    positions = column(count, shape, bottom=bottom, gap=gap, lean=lean) + [x, 0.0, 0.0]
-    return add_bodies(scene, shape, positions, names=names, **coefficients)
 
 
 def leaning_tower_falls(x: Sequence[float] | np.ndarray, half: float) -> bool:
@@ -152,56 +117,44 @@ def voussoir(stones: int, radius: float, thickness: float, depth: float = 1.0) -
     return Mesh(np.array(corners), np.array(faces))
 
 
-def add_arch(scene: Scene, stones: int, radius: float, thickness: float, **coefficients: Any) -> list[int]:
-    """Add a semicircular arch of equal stones of 1 m along y that stands on the plane z = 0, about the y axis.
+def arch(stones: int, radius: float, thickness: float) -> tuple[Mesh, np.ndarray, np.ndarray]:
+    """A semicircular arch of equal stones of 1 m along y that stands on the plane z = 0, about the y axis.
 
     Args:
-        scene: the scene.
         stones: number of stones.
         radius: mean radius [m].
         thickness: radial thickness [m].
-        **coefficients: as in `add_bodies`.
 
     Returns:
-        Indices of the stones, from -x to +x.
+        The stone, and positions (stones, 3) [m] and orientations (stones, 4), from -x to +x.
     """
     angle = np.pi * ((np.arange(stones) + 0.5) / stones - 0.5)
     flat = np.zeros(stones)
     positions = radius * np.stack([np.sin(angle), flat, np.cos(angle)], axis=1)
     orientations = np.stack([flat, np.sin(0.5 * angle), flat, np.cos(0.5 * angle)], axis=1)
-    return add_bodies(scene, voussoir(stones, radius, thickness), positions, orientations, **coefficients)
+    return voussoir(stones, radius, thickness), positions, orientations
 
 
-def add_ball_pyramid(scene: Scene, base: int, radius: float, **coefficients: Any) -> list[int]:
-    """Add square layers of touching balls, each of which lies in the hollow between four balls of the layer below.
+def ball_pyramid(base: int, radius: float) -> np.ndarray:
+    """Positions of square layers of touching balls, each in the hollow between four balls below, (balls, 3) [m].
 
     Args:
-        scene: the scene.
-        base: balls along a side of the lowest layer.
+        base: balls along a side of the lowest layer, which is the first.
         radius: of the balls [m].
-        **coefficients: as in `add_bodies`.
-
-    Returns:
-        Indices of the balls, layer by layer from the ground up.
     """
     positions = []
     for layer in range(base):
         middle = 0.5 * (base - layer - 1)
         for x, y in np.ndindex(base - layer, base - layer):
             positions.append(2 * radius * np.array([x - middle, y - middle, layer / 2**0.5 + 0.5]))
-    return add_bodies(scene, Sphere(radius), positions, **coefficients)
+    return np.array(positions)
 
 
-def add_crossed_layers(scene: Scene, layers: int, **coefficients: Any) -> list[int]:
-    """Add layers of two parallel beams of 2 x 0.2 x 0.2 m, each layer at right angles to the one below.
-
-    Args:
-        scene: the scene.
-        layers: number of layers.
-        **coefficients: as in `add_bodies`.
+def crossed_layers(layers: int) -> tuple[list[Shape], list[tuple[float, float, float]]]:
+    """Layers of two parallel beams of 2 x 0.2 x 0.2 m, each layer at right angles to the one below.
 
     Returns:
-        Indices of the beams, layer by layer from the ground up.
+        The beams and their positions [m], layer by layer from the ground up.
     """
     along_x, along_y = Box((1.0, 0.1, 0.1)), Box((0.1, 1.0, 0.1))
     shapes: list[Shape] = []
@@ -209,24 +162,20 @@ def add_crossed_layers(scene: Scene, layers: int, **coefficients: Any) -> list[i
     for layer in range(layers):
         for side in (-0.9, 0.9):
             shapes.append(along_y if layer % 2 else along_x)
-            across = (side, 0) if layer % 2 else (0, side)
-            positions.append((*across, 0.1 + 0.2 * layer))
-    return add_bodies(scene, shapes, positions, **coefficients)
+            x, y = (side, 0.0) if layer % 2 else (0.0, side)
+            positions.append((x, y, 0.1 + 0.2 * layer))
+    return shapes, positions
 
 
-def add_card_house(scene: Scene, storeys: int, angle: float, **coefficients: Any) -> list[int]:
-    """Add pairs of cards that lean on each other, with level cards between the storeys.
-
-    A card measures 0.2 x 0.1 x 0.004 m.
+def card_house(storeys: int, angle: float) -> tuple[Box, list, list]:
+    """Pairs of cards of 0.2 x 0.1 x 0.004 m that lean on each other, with level cards between the storeys.
 
     Args:
-        scene: the scene.
         storeys: number of storeys, which is also the number of pairs in the lowest one.
         angle: of the leaning cards to the vertical [rad].
-        **coefficients: as in `add_bodies`.
 
     Returns:
-        Indices of the cards, storey by storey from the ground up, leaning cards before level ones.
+        The card, and positions [m] and orientations, storey by storey from the ground up, leaning cards first.
     """
     length, thickness = 0.2, 0.004
     height = length * np.cos(angle) + thickness * np.sin(angle)
@@ -243,4 +192,4 @@ def add_card_house(scene: Scene, storeys: int, angle: float, **coefficients: Any
         for gap in range(pairs - 1):
             positions.append((2 * foot * (gap - 0.5 * (pairs - 2)), 0, base + height + 0.5 * thickness))
             orientations.append(flat)
-    return add_bodies(scene, Box((0.5 * thickness, 0.05, 0.5 * length)), positions, orientations, **coefficients)
+    return Box((0.5 * thickness, 0.05, 0.5 * length)), positions, orientations

@@ -189,7 +189,9 @@ def _poles_a_side(rings: int) -> int:
 
 SCENES: dict[str, BenchmarkScene] = {
     "stack": BenchmarkScene(
-        _on_ground(partial(stacks.add_stack, gap=GAP)), half_width=lambda cubes: 0.5 * EDGE, rest=stacks.column
+        _on_ground(lambda scene, n, **own: add_bodies(scene, stacks.CUBE, stacks.column(n, gap=GAP), **own)),
+        half_width=lambda cubes: 0.5 * EDGE,
+        rest=stacks.column,
     ),
     "pile_box": _pile_of(lambda: stacks.CUBE),
     "pile_torus": _pile_of(meshes.torus),

@@ -1,11 +1,9 @@
 """Section H: arches over the range of time steps, and structures at rest, which must not climb."""
 
-from functools import partial
-
 import numpy as np
 
 from warp_rigid.scenes.builders import stacks
-from warp_rigid.scenes.builders.scene_parts import on_ground
+from warp_rigid.scenes.builders.scene_parts import bodies, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Check, Curve, at_most, case, each, measured
 from warp_rigid.validation.common import largest_rise
 from warp_rigid.validation.experiment import Experiment, Trace
@@ -24,14 +22,12 @@ def cases(quick: bool) -> Cases:
 
 def arch_scene(stones: int, ratio: float, friction: float):
     """A function that builds a semicircular arch on level ground."""
-    arch = partial(stacks.add_arch, stones=stones, radius=RADIUS, thickness=ratio * RADIUS, friction=friction)
-    return on_ground(arch, friction=friction)
+    return on_ground(bodies(*stacks.arch(stones, RADIUS, ratio * RADIUS), friction=friction), friction=friction)
 
 
 def crown(trace: Trace) -> np.ndarray:
     """Displacement of the middle stone, upwards, (records, envs) [m]."""
-    middle = trace.dynamic[len(trace.dynamic) // 2]
-    return (trace.position - trace.position[0])[:, :, middle, 2]
+    return trace.moved[:, :, len(trace.dynamic) // 2, 2]
 
 
 def arches(rates, duration):
@@ -77,8 +73,8 @@ def climbing(quick):
     rates, duration = (RATES[:1], 2.0) if quick else (RATES, 10.0)
     structures = {
         "arch of 27 stones": (arch_scene(27, 0.16, 0.8), 2.0 * RADIUS),
-        "pyramid of 8 rows": (partial(pyramid_scene, 8), 1.6),
-        "10 crossed layers": (on_ground(partial(stacks.add_crossed_layers, layers=10)), 2.0),
+        "pyramid of 8 rows": (pyramid_scene(8), 1.6),
+        "10 crossed layers": (on_ground(bodies(*stacks.crossed_layers(10))), 2.0),
         "card house": (card_house_scene(2), 0.4),
     }
     sizes = np.repeat([size for _, size in structures.values()], len(rates))

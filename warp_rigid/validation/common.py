@@ -1,14 +1,17 @@
 """Helpers of several sections: gravity on an incline, rotations, and measurements of a trace."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.validation.case import Check, at_most, measured
+from warp_rigid.validation.case import Check, at_most, measured, relative
 from warp_rigid.validation.experiment import Trace
 
 COULOMB = "Coulomb's law, closed form"
 G = 9.81
 NO_GRAVITY = (0.0, 0.0, 0.0)
+Series = Callable[[Trace], np.ndarray]
 RESTING = 1e-3
 """Speed below which a body counts as stopped [m/s]."""
 
@@ -39,6 +42,35 @@ def at_time(trace: Trace, series: np.ndarray, time: np.ndarray) -> np.ndarray:
     known = np.isfinite(time)
     row = np.searchsorted(trace.time, np.where(known, time, 0.0) - 1e-9)
     return np.where(known, series[row, np.arange(series.shape[1])], np.nan)
+
+
+def stop_checks(speed: Series, way: Series, time, distance, limit: float, creep: float, **options) -> list[Check]:
+    """Checks of the time and the way until a body stops, and of its motion after that.
+
+    Args:
+        speed: function of a trace that returns the speed of the body, (records, envs) [m/s].
+        way: function of a trace that returns its way, (records, envs) [m].
+        time: exact time of each environment [s].
+        distance: exact way of each environment [m].
+        limit: relative tolerance of both.
+        creep: largest motion after the stop [m].
+        options: of the checks.
+    """
+
+    def stopped(trace):
+        return time_at_rest(trace, speed(trace))
+
+    def way_to_stop(trace):
+        return at_time(trace, way(trace), stopped(trace))
+
+    def moved_after(trace):
+        return np.abs(way(trace)[-1] - way_to_stop(trace))
+
+    return [
+        measured("time to stop", "s", stopped, relative(limit), time, **options),
+        measured("distance to stop", "m", way_to_stop, relative(limit), distance, **options),
+        measured("motion after the stop", "m", moved_after, at_most(creep), **options),
+    ]
 
 
 def complete_elliptic(parameter: float) -> float:

@@ -212,7 +212,11 @@ class Trace:
         return np.maximum(linear, angular).max(axis=2)
 
     @cached_property
+    def moved(self) -> np.ndarray:
+        """Displacement of each dynamic body from its start, (records, envs, dynamic bodies, 3) [m]."""
+        return (self.position - self.position[0])[:, :, self.dynamic]
+
+    @cached_property
     def displacement(self) -> np.ndarray:
         """Largest distance of a body from its start, (records, envs) [m]."""
-        moved = np.linalg.norm(self.position - self.position[0], axis=-1)
-        return moved[:, :, self.dynamic].max(axis=2)
+        return np.linalg.norm(self.moved, axis=-1).max(axis=2)

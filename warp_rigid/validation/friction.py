@@ -7,7 +7,7 @@ import numpy as np
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.scene_parts import body, in_space, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, Miss, absolute, at_most, case, measured, relative
-from warp_rigid.validation.common import COULOMB, G, at_time, downhill, gain_of_energy, orientation_about, time_at_rest
+from warp_rigid.validation.common import COULOMB, G, downhill, gain_of_energy, orientation_about, stop_checks
 from warp_rigid.validation.experiment import Experiment, Start, of_body, per_env
 from warp_rigid.validation.solids import cube
 
@@ -142,24 +142,9 @@ def slides():
     )
 
 
-def stop_time(trace):
-    """Time at which the block stops, (envs,) [s]."""
-    return time_at_rest(trace, speed(trace))
-
-
-def stop_distance(trace):
-    """Displacement of the block at which it stops, (envs,) [m]."""
-    return at_time(trace, along(trace), stop_time(trace))
-
-
 def way(trace):
     """Displacement of the block at the end, (envs,) [m]."""
     return along(trace)[-1]
-
-
-def moved_after_stop(trace):
-    """Displacement of the block after it has stopped, (envs,) [m]."""
-    return np.abs(way(trace) - stop_distance(trace))
 
 
 def stops():
@@ -167,13 +152,10 @@ def stops():
     degrees, friction, start = np.array([20.0, 10.0]), np.array([0.5, 0.3]), np.array([2.0, 1.0])
     time = start / -pull(degrees, friction)
     every = np.tile(time, 3)
-    way = 0.5 * every * np.tile(start, 3)
     return case(
         "V22 block that slides downhill and stops",
         COULOMB,
-        measured("time to stop", "s", stop_time, relative(0.01), every),
-        measured("distance to stop", "m", stop_distance, relative(0.01), way),
-        measured("motion after the stop", "m", moved_after_stop, at_most(1e-4)),
+        *stop_checks(speed, along, every, 0.5 * every * np.tile(start, 3), 0.01, 1e-4),
         of=(
             block_on_incline(CUBE, degrees, friction, start, duration=3.0),
             block_on_incline(SLAB, degrees, friction, start, duration=3.0),
@@ -194,9 +176,7 @@ def authors_incline():
     return case(
         "V22 the 2003 authors' two blocks on an incline, 20 degrees, e 1",
         "PhysBAM Sliding_Test, and Coulomb's law",
-        measured("time to stop", "s", stop_time, relative(0.01), 1.25 / slowing, **first_block),
-        measured("distance to stop", "m", stop_distance, relative(0.01), 1.25**2 / (2 * slowing), **first_block),
-        measured("motion after the stop", "m", moved_after_stop, at_most(1e-4), **first_block),
+        *stop_checks(speed, along, 1.25 / slowing, 1.25**2 / (2 * slowing), 0.01, 1e-4, **first_block),
         measured("distance after 2 s", "m", way, relative(0.01), slid, rows=[1], labels=("block 2",)),
         of=(first, second),
         curve=Curve("way", "m", along),

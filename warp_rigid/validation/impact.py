@@ -180,8 +180,16 @@ def row_of_balls(masses, rows):
     return Experiment(scene, 1.0, variants, starts, every=24), exact
 
 
-def row_checks(exact):
-    """The balls leave as after successive impacts; with e < 1 and gaps this holds for the last ball only."""
+def row_case(title, masses, rows, sure):
+    """The balls leave as after successive impacts; with e < 1 and gaps this holds for the last ball only.
+
+    Args:
+        title: of the case.
+        masses: of the balls [kg].
+        rows: as for `row_of_balls`.
+        sure: indices of the rows in which it holds for every ball.
+    """
+    experiment, exact = row_of_balls(masses, rows)
 
     def along(t):
         return t.linear_velocity[-1, :, :, 0]
@@ -190,21 +198,19 @@ def row_checks(exact):
         first, last = (0.5 * np.einsum("eb,eb->e", t.mass, v**2) for v in (exact, along(t)))
         return last - first
 
-    return (
+    def error(t):
+        return np.abs(along(t) - exact).max(axis=1)
+
+    return case(
+        f"V18 {title}",
+        "successive impacts of two balls at a time",
+        measured("largest error of a ball's speed", "m/s", error, at_most(1e-3), rows=sure),
         measured("speed of the last ball", "m/s", lambda t: along(t)[:, -1], absolute(1e-3), exact[:, -1]),
         measured("energy in excess of successive impacts", "J", excess, at_most(1e-3)),
         measured("momentum", "kg m/s", lambda t: (t.momentum[-1] - t.momentum[0])[:, 0], absolute(1e-5)),
         measured("speed across", "m/s", lambda t: np.abs(t.linear_velocity[..., 1:]).max((0, 2, 3)), at_most(1e-6)),
+        of=experiment,
     )
-
-
-def every_ball(exact, chosen):
-    """Check of all balls of the chosen rows."""
-
-    def error(t):
-        return np.abs(t.linear_velocity[-1, :, :, 0] - exact).max(axis=1)
-
-    return measured("largest error of a ball's speed", "m/s", error, at_most(1e-3), rows=list(chosen))
 
 
 CRADLE = ((1, 0, 0, 0, 0), (1, 1, 0, 0, 0), (1, 1, 1, 0, 0), (1, 0, 0, 0, -1))
@@ -215,29 +221,16 @@ def cradle():
     """Five equal balls, touching and with gaps of 1 % of the radius."""
     rows = [(before, 1.0, gap) for gap in GAPS for before in CRADLE]
     rows += [(CRADLE[0], e, gap) for gap in GAPS for e in (0.9, 0.0)]
-    experiment, exact = row_of_balls([1.0] * 5, rows)
     # Elastic rows and touching rows have a unique result; with gaps and losses it depends on the order of impacts.
     sure = [row for row, (_, e, gap) in enumerate(rows) if e in (0.0, 1.0) or gap == 0.0]
-    return case(
-        "V18 cradle of five balls",
-        "successive impacts of two balls at a time",
-        every_ball(exact, sure),
-        *row_checks(exact),
-        of=experiment,
-    )
+    return row_case("cradle of five balls", [1.0] * 5, rows, sure)
 
 
 def chain():
     """Masses 1, 1/2, 1/4, 1/8."""
     rows = [((1, 0, 0, 0), e, gap) for gap in GAPS for e in (1.0, 0.9)]
-    experiment, exact = row_of_balls([1.0, 0.5, 0.25, 0.125], rows)
-    return case(
-        "V18 chain of four balls, each half as heavy as the one before",
-        "successive impacts of two balls at a time",
-        every_ball(exact, range(len(rows))),
-        *row_checks(exact),
-        of=experiment,
-    )
+    title = "chain of four balls, each half as heavy as the one before"
+    return row_case(title, [1.0, 0.5, 0.25, 0.125], rows, list(range(len(rows))))
 
 
 def superball_after(tangential, spin, normal, restitution, friction, radius=0.1):

@@ -1,12 +1,11 @@
 """Sections G and H: granular piles, for which order and trend are known, and a heap at 60 Hz."""
 
-from functools import partial
-
 import numpy as np
 
+from warp_rigid.scene.shapes import Sphere
 from warp_rigid.scenes.builders import piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.builders.scene_parts import on_ground
+from warp_rigid.scenes.builders.scene_parts import bodies, on_ground
 from warp_rigid.validation.case import AT_LEAST, Cases, Check, Curve, Miss, at_most, case, each, measured
 from warp_rigid.validation.experiment import Experiment, per_env
 
@@ -33,7 +32,7 @@ def heap(base=6):
         return np.diff(kept(subject[0], 0.5))
 
     count = base * (base + 1) * (2 * base + 1) // 6
-    scene = on_ground(partial(stacks.add_ball_pyramid, base=base, radius=radius))
+    scene = on_ground(bodies(Sphere(radius), stacks.ball_pyramid(base, radius)))
     starts = per_env("friction", friction), per_env("rolling_friction", rolling)
     more = "increase of the height kept after 0.5 s over less friction"
     return case(

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
 from warp_rigid.scenes.builders.scene_parts import body, on_ground
 from warp_rigid.validation.case import OUTCOME, Cases, Curve, at_most, case, measured, relative
-from warp_rigid.validation.common import COULOMB, G, at_time, downhill, first_time, orientation_about, time_at_rest
+from warp_rigid.validation.common import COULOMB, G, at_time, downhill, first_time, stop_checks, time_at_rest
 from warp_rigid.validation.experiment import Experiment, Start, of_body, per_env
 
 
@@ -28,24 +29,14 @@ def ball(radius=0.1, **options):
     return Experiment(on_ground(body(Sphere(radius), position=(0, 0, radius))), **options)
 
 
-def slip_speed(trace, radius):
-    """Speed of a ball's lowest point along x, (records, envs) [m/s]."""
-    return trace.linear_velocity[:, :, 1, 0] - radius * trace.angular_velocity[:, :, 1, 1]
-
-
 def rolling_time(trace):
-    """Time at which the ball of 0.1 m starts to roll, (envs,) [s]."""
-    return first_time(trace, slip_speed(trace, 0.1) < 1e-4)
+    """Time at which the ball of 0.1 m starts to roll, as its lowest point stands still, (envs,) [s]."""
+    return first_time(trace, trace.linear_velocity[:, :, 1, 0] - 0.1 * trace.angular_velocity[:, :, 1, 1] < 1e-4)
 
 
 def stop_time(trace):
     """Time at which the ball neither rolls nor spins any more, (envs,) [s]."""
     return time_at_rest(trace, trace.speed)
-
-
-def stop_distance(trace):
-    """Position of the ball along x where it stops, (envs,) [m]."""
-    return at_time(trace, forward(trace), stop_time(trace))
 
 
 def rolling_distance(trace):
@@ -105,7 +96,8 @@ def rolling_race():
     experiments, ways = [], []
     for name, shape, inertia in (("sphere", Sphere(0.1), 0.4), ("cylinder", Cylinder(0.1, 0.3), 0.5)):
         needed = np.tan(slope) * inertia / (1 + inertia)
-        scene = on_ground(body(shape, position=(0, 0, 0.1), orientation=orientation_about((1, 0, 0), 90)))
+        lying = rotations.about_axis((1, 0, 0), np.radians(90))
+        scene = on_ground(body(shape, position=(0, 0, 0.1), orientation=lying))
         starts = per_env("friction", shares * needed), Start("gravity", downhill(30.0))
         variants = tuple(f"{name}, {share:g} of the friction to roll" for share in shares)
         experiments.append(Experiment(scene, 1.0, variants, starts, every=4))
@@ -144,9 +136,7 @@ def rolling_friction():
     return case(
         "V29 rolling friction, R 0.5 m, c 0.01 m, from 1 m/s, over five powers of ten of mass",
         "torque = c N, closed form",
-        measured("time to stop", "s", stop_time, relative(0.02), 1 / slowing),
-        measured("distance to stop", "m", stop_distance, relative(0.02), 0.5 / slowing),
-        measured("motion after the stop", "m", lambda t: np.abs(forward(t)[-1] - stop_distance(t)), at_most(1e-5)),
+        *stop_checks(lambda t: t.speed, forward, 1 / slowing, 0.5 / slowing, 0.02, 1e-5),
         of=over_masses(*surface, *motion, radius=radius, duration=8.0),
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )

@@ -1,7 +1,6 @@
 """Section E: stacks, towers, pyramids and piles, with and without shock propagation."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,8 @@ from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Mesh, Shape, Sphere
 from warp_rigid.scenes.builders import grounds, stacks
-from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.scenes.builders.scene_parts import body, on_ground
+from warp_rigid.scenes.builders.scene_parts import bodies, body, on_ground
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
@@ -33,6 +31,8 @@ STATICS = "statics, closed form"
 MODES = ("two_pass", "one_pass", "off")
 HALF = 0.1
 """Half the width of most boxes [m], whose mass is 8 kg."""
+UNIT = Box((0.5,) * 3)
+"""Cube of 1 m."""
 OWN = 1e-4
 """Permitted displacement of a stack [m]."""
 
@@ -55,18 +55,14 @@ def cases(quick: bool) -> Cases:
     return listed if quick else [*listed, beams(10.0), balls_that_spread(10.0)]
 
 
-def stack_scene(count: int, half: float = HALF) -> Scene:
-    """A straight stack of equal cubes on level ground; the cubes are bodies 1 to `count`."""
-    scene = level_scene()
-    stacks.add_stack(scene, count, Box((half,) * 3))
-    return scene
+def stack_scene(count: int, shape: Shape = stacks.CUBE) -> Callable[[], Scene]:
+    """A function that builds a straight stack of equal bodies on level ground, which are bodies 1 to `count`."""
+    return on_ground(bodies(shape, stacks.column(count, shape)))
 
 
-def pyramid_scene(rows: int) -> Scene:
-    """A pyramid of cubes of 0.2 m on level ground."""
-    scene = level_scene()
-    add_bodies(scene, Box((HALF,) * 3), stacks.pyramid(rows))
-    return scene
+def pyramid_scene(rows: int) -> Callable[[], Scene]:
+    """A function that builds a pyramid of cubes of 0.2 m on level ground."""
+    return on_ground(bodies(stacks.CUBE, stacks.pyramid(rows)))
 
 
 def farthest(trace: Trace) -> np.ndarray:
@@ -76,18 +72,12 @@ def farthest(trace: Trace) -> np.ndarray:
 
 def drift(trace: Trace) -> np.ndarray:
     """Largest horizontal displacement of a body at any time, (envs,) [m]."""
-    moved = (trace.position - trace.position[0])[:, :, trace.dynamic, :2]
-    return np.linalg.norm(moved, axis=-1).max(axis=(0, 2))
+    return np.linalg.norm(trace.moved[..., :2], axis=-1).max(axis=(0, 2))
 
 
 def sink(trace: Trace) -> np.ndarray:
     """Largest downward displacement of a body at any time, (envs,) [m]."""
-    return (trace.position[0] - trace.position)[:, :, trace.dynamic, 2].max(axis=(0, 2))
-
-
-def rise(trace: Trace) -> np.ndarray:
-    """Largest upward displacement of a body at any time, (envs,) [m]."""
-    return (trace.position - trace.position[0])[:, :, trace.dynamic, 2].max(axis=(0, 2))
+    return -trace.moved[..., 2].min(axis=(0, 2))
 
 
 def tilt(trace: Trace) -> np.ndarray:
@@ -121,7 +111,7 @@ def heavy_on_light(duration):
         measured("height lost by the top", "m", top, at_most(5e-4), rows=kept),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3), rows=kept),
         measured("height lost without shock propagation", "m", top, AT_LEAST, 5e-3, rows=cold),
-        of=Experiment(partial(stack_scene, 2, 0.5), duration, names, starts, dt=1 / 60, every=6),
+        of=Experiment(stack_scene(2, UNIT), duration, names, starts, dt=1 / 60, every=6),
         curve=Curve("height lost", "m", lambda t: t.position[0, :, 2, 2] - t.position[:, :, 2, 2]),
     )
 
@@ -143,8 +133,8 @@ def column(counts, duration):
     """Unit cubes with two restitutions: the ground supports their weight, and nothing moves."""
 
     def experiment(count):
-        scene = partial(stack_scene, count, 0.5)
-        return Experiment(scene, duration, ("e 0", "e 0.5"), starts, every=24, label=f"{count} cubes")
+        name = f"{count} cubes"
+        return Experiment(stack_scene(count, UNIT), duration, ("e 0", "e 0.5"), starts, every=24, label=name)
 
     starts = (per_env("restitution", [0.0, 0.5]),)
     weight = np.repeat([count * 1000.0 * G for count in counts], 2)
@@ -166,22 +156,21 @@ def tall_stack(count, duration):
         STATICS,
         measured("drift", "m", drift, at_most(OWN)),
         measured("sink", "m", sink, at_most(OWN)),
-        measured("rise", "m", rise, at_most(OWN)),
+        measured("rise", "m", lambda t: t.moved[..., 2].max(axis=(0, 2)), at_most(OWN)),
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
-        of=Experiment(lambda: stack_scene(count), duration, every=24),
+        of=Experiment(stack_scene(count), duration, every=24),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
 
 def spheres(duration):
     """Five spheres of radius 1 m on top of one another: an unstable equilibrium that symmetry preserves."""
-    scene = on_ground(lambda made: stacks.add_stack(made, 5, Sphere(1.0)))
     return case(
         "V37 column of five spheres, R 1",
         "Chrono's SMC stacking",
         measured("drift from the axis", "m", drift, at_most(1e-6)),
         measured("sink", "m", sink, at_most(OWN)),
-        of=Experiment(scene, duration, every=24),
+        of=Experiment(stack_scene(5, Sphere(1.0)), duration, every=24),
     )
 
 
@@ -208,7 +197,7 @@ def leaning(offsets, ways, duration, **options) -> Experiment:
     place = np.array([stacks.column(10, lean=2 * HALF * offset) for offset in offsets])
     names = tuple(f"{offset:g} w, {way}" for offset, way in zip(offsets, ways, strict=True))
     starts = Start("position", place, bodies=list(range(1, 11))), *way_starts(ways)
-    return Experiment(partial(stack_scene, 10), duration, names, starts, **options)
+    return Experiment(stack_scene(10), duration, names, starts, **options)
 
 
 OFFSETS = (0.0, 0.05, 0.08, 0.12, 0.15, 0.2)
@@ -327,7 +316,7 @@ def pyramid(rows, duration):
         measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
         measured("energy gained, relative to a fall", "", gained(lambda t: t.energy), at_most(1e-6)),
         measured("force on the ground", "N", load_on_ground, relative(1e-3), count * 8.0 * G),
-        of=Experiment(lambda: pyramid_scene(rows), duration, every=24),
+        of=Experiment(pyramid_scene(rows), duration, every=24),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
@@ -417,8 +406,7 @@ def falling_piles(duration, count):
 
 def card_house_scene(storeys):
     """A function that builds a card house on level ground, with cards at 65 degrees."""
-    cards = partial(stacks.add_card_house, storeys=storeys, angle=np.radians(25.0), friction=0.7)
-    return on_ground(cards, friction=0.7)
+    return on_ground(bodies(*stacks.card_house(storeys, np.radians(25.0)), friction=0.7), friction=0.7)
 
 
 def card_house(levels, duration):
@@ -438,7 +426,7 @@ def card_house(levels, duration):
 
 def beams(duration):
     """Thirty crossed layers of two beams."""
-    layers = partial(stacks.add_crossed_layers, layers=30, rolling_friction=0.05)
+    layers = bodies(*stacks.crossed_layers(30), rolling_friction=0.05)
     return case(
         "V45 tower of thirty crossed layers of two beams, 10 s",
         "box3d: the tower stands",
@@ -450,7 +438,7 @@ def beams(duration):
 def balls_that_spread(duration):
     """A cube of 216 frictionless balls collapses; overlaps must stay small."""
     places = 0.21 * np.array(list(np.ndindex(6, 6, 6))) + [0, 0, 0.101]
-    balls = partial(add_bodies, shapes=Sphere(0.1), positions=places, mass=10.0, friction=0.0)
+    balls = bodies(Sphere(0.1), places, mass=10.0, friction=0.0)
 
     def squares(trace):
         sums = []
