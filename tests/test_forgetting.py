@@ -154,7 +154,7 @@ def overwrite_scratch(sim, byte, reused):
 
 def constants_of(sim):
     """What no step may change, as bytes by name; the heights of moving ground are in the pool of shapes."""
-    moving = sim._world.model.surface_vertices > 0
+    moving = sim._world.layout.sizes["vertices"] > 0
     return {
         f"{struct._cls.key}.{name}": array.numpy().tobytes()
         for shard in sim._world.shards

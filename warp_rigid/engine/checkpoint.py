@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import listed, whole_in
-from warp_rigid.engine import checkpoint_values, joints, step_reports
+from warp_rigid.engine import checkpoint_values, step_reports
 from warp_rigid.engine.checkpoint_values import within
 from warp_rigid.engine.layout import MOST_ENVIRONMENTS
 from warp_rigid.engine.pools import LARGEST, NAMES, fill
@@ -117,7 +117,9 @@ def restore(world: World, header: dict[str, Any], arrays: Mapping[str, np.ndarra
         CapacityError: the capacity is too small for the contacts of the last step.
     """
     used = {name: whole_in(f"used {name}", header["used"][name], 0, LARGEST) for name in NAMES}
-    newer = _newer_quantities(header)
+    # Quantities of bodies that were declared after the file was written keep their defaults.
+    known = {name for scene in header["scenes"] for body in scene["bodies"] for name in body}
+    newer = {f"Bodies.{name}" for name in (*COEFFICIENTS, *SURFACE_VELOCITIES) if name not in known}
     rows = {
         name: own if name in newer else _checked(name, own, arrays, used, world) for name, own in _stored(world).items()
     }
@@ -153,7 +155,7 @@ def _arguments(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict
 
 def _whole(world: World) -> dict[str, wp.array]:
     """Device arrays of all environments that are stored as they are."""
-    jointless = None if world.layout.sizes[joints.NAME] else world.model.joints
+    jointless = None if world.layout.has_joints else world.model.joints
     kept = [arrays for arrays in world.lasting if arrays is not world.watches and arrays is not jointless]
     return {
         f"{arrays._cls.key}.{name}": array
@@ -193,12 +195,6 @@ def _history(world: World) -> dict[str, np.ndarray]:
     return {name: np.concatenate(some) for name, some in parts.items()}
 
 
-def _newer_quantities(header: dict[str, Any]) -> set[str]:
-    """Arrays of the quantities of bodies that were declared after the file was written: they keep their defaults."""
-    known = {name for scene in header["scenes"] for body in scene["bodies"] for name in body}
-    return {f"Bodies.{name}" for name in (*COEFFICIENTS, *SURFACE_VELOCITIES) if name not in known}
-
-
 def _checked(
     name: str, own: np.ndarray, arrays: Mapping[str, np.ndarray], used: dict[str, int], world: World
 ) -> np.ndarray:
@@ -223,15 +219,11 @@ def _checked(
 
 def _check_neighbours(world: World, rows: dict[str, np.ndarray]) -> None:
     """Pairs and sleeping islands are of bodies of one environment."""
-    env = world.layout.env_of_row
+    env, asleep = world.layout.env_of_row, rows["SleepState.asleep"] == 1
     env_of_pair = np.repeat(env, np.diff(rows["History.pair_start"]))
     for name, bodies, envs in (
         ("History.body_b", rows["History.body_b"], env_of_pair),
-        (
-            "SleepState.island",
-            rows["SleepState.island"][rows["SleepState.asleep"] == 1],
-            env[rows["SleepState.asleep"] == 1],
-        ),
+        ("SleepState.island", rows["SleepState.island"][asleep], env[asleep]),
     ):
         if (bodies < 0).any() or (bodies >= len(env)).any() or (env[bodies] != envs).any():
             raise ValueError(f"{name} must be bodies of the same environment")

@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from warp_rigid.engine import joint_quantities, joints
-from warp_rigid.engine.layout import concatenated
+from warp_rigid.engine import joint_quantities
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.world import World
 from warp_rigid.kernels.enums import JointNumber
@@ -49,8 +48,12 @@ def check(world: World, rows: Mapping[str, np.ndarray]) -> None:
     _finite("State.orientation", rows["State.orientation"], _of_unit_length, "quaternions of length 1")
     _check_masses(world, rows)
     _check_fields(world, rows["FieldForces.parameters"])
-    if world.layout.sizes[joints.NAME]:
-        _check_joints(rows["Joints.numbers"])
+    if world.layout.has_joints:
+        numbers = rows["Joints.numbers"]
+        for name, column in joint_quantities.NUMBERS.items():
+            joint_quantities.check_range(name, numbers[:, column])
+        if (numbers[:, JointNumber.LOWER] > numbers[:, JointNumber.UPPER]).any():
+            raise ValueError("Joints.numbers: the lower limits must be at most the upper ones")
 
 
 def within(name: str, rows: np.ndarray, low: int, high: int) -> None:
@@ -95,15 +98,7 @@ def _check_masses(world: World, rows: Mapping[str, np.ndarray]) -> None:
 
 
 def _check_fields(world: World, parameters: np.ndarray) -> None:
-    fields, lengths = concatenated(lambda scene: scene.force_fields, world.layout.scenes)
-    source = world.layout.copies(lengths)
+    fields, source = world.layout.entries(lambda scene: scene.force_fields)
     for index, field in enumerate(fields):
         for row in np.unique(parameters[: len(source)][source == index], axis=0):
             type(field).from_row(row)
-
-
-def _check_joints(numbers: np.ndarray) -> None:
-    for name, column in joint_quantities.NUMBERS.items():
-        joint_quantities.check_range(name, numbers[:, column])
-    if (numbers[:, JointNumber.LOWER] > numbers[:, JointNumber.UPPER]).any():
-        raise ValueError("Joints.numbers: the lower limits must be at most the upper ones")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown
-from warp_rigid.engine.layout import LACKING, Layout, concatenated, spread_rows
+from warp_rigid.engine.layout import LACKING, Layout, spread_rows
 from warp_rigid.scene.fields import FIELDS, ForceField
 
 PREFIX = "field_"
@@ -31,8 +31,8 @@ def read(layout: Layout, parameters: np.ndarray, name: str) -> np.ndarray:
         ValueError: no force field of the scenes has the parameter.
     """
     values = np.full((len(parameters), *VALUE_SHAPES[name]), np.nan, np.float32)
-    source = _source(layout)
-    for index, columns in _columns(layout, name).items():
+    fields, source = _entries(layout)
+    for index, columns in _columns(fields, name).items():
         own = source == index
         values[own] = parameters[own, columns].reshape(-1, *VALUE_SHAPES[name])
     return spread_rows(values, layout.table("fields"))
@@ -51,9 +51,9 @@ def write(layout: Layout, parameters: np.ndarray, name: str, new: np.ndarray, ro
     Raises:
         ValueError: a value is out of range.
     """
-    fields, source = _fields(layout), _source(layout)
+    fields, source = _entries(layout)
     changes = []
-    for index, columns in _columns(layout, name).items():
+    for index, columns in _columns(fields, name).items():
         chosen = (rows != LACKING) & (source[np.maximum(rows, 0)] == index)
         values = new[chosen].reshape(-1, columns.stop - columns.start)
         for value in np.unique(values, axis=0):
@@ -65,8 +65,8 @@ def write(layout: Layout, parameters: np.ndarray, name: str, new: np.ndarray, ro
 
 def having(layout: Layout, name: str) -> np.ndarray:
     """Mask of the fields that have a parameter, (envs, most fields)."""
-    table = layout.table("fields")
-    return (table != LACKING) & np.isin(_source(layout)[np.maximum(table, 0)], list(_columns(layout, name)))
+    table, (fields, source) = layout.table("fields"), _entries(layout)
+    return (table != LACKING) & np.isin(source[np.maximum(table, 0)], list(_columns(fields, name)))
 
 
 def check(field: ForceField, name: str, value: Any) -> None:
@@ -111,8 +111,9 @@ def potential(layout: Layout, parameters: np.ndarray, x: np.ndarray) -> np.ndarr
         (envs, bodies) potential.
     """
     total = np.zeros(x.shape[:2])
-    source, env_of_field = _source(layout), np.repeat(np.arange(layout.num_envs), np.diff(layout.starts["fields"]))
-    for index, field in enumerate(_fields(layout)):
+    env_of_field = np.repeat(np.arange(layout.num_envs), np.diff(layout.starts["fields"]))
+    fields, source = _entries(layout)
+    for index, field in enumerate(fields):
         rows = np.flatnonzero(source == index)
         width = len(field.row())
         for values in np.unique(parameters[rows, :width], axis=0):
@@ -123,19 +124,13 @@ def potential(layout: Layout, parameters: np.ndarray, x: np.ndarray) -> np.ndarr
     return total
 
 
-def _fields(layout: Layout) -> list[ForceField]:
-    """The fields of the distinct scenes, one scene after another."""
-    return concatenated(lambda scene: scene.force_fields, layout.scenes)[0]
+def _entries(layout: Layout) -> tuple[list[ForceField], np.ndarray]:
+    """The fields of the distinct scenes, and the index of each field of all environments."""
+    return layout.entries(lambda scene: scene.force_fields)
 
 
-def _source(layout: Layout) -> np.ndarray:
-    """Index into `_fields` for each field of all environments."""
-    return layout.copies([len(scene.force_fields) for scene in layout.scenes])
-
-
-def _columns(layout: Layout, name: str) -> dict[int, slice]:
-    """For each field of the distinct scenes that has a parameter, the columns of it."""
-    fields, parameter = _fields(layout), name.removeprefix(PREFIX)
+def _columns(fields: list[ForceField], name: str) -> dict[int, slice]:
+    """For each of some fields that has a parameter, the columns of it."""
     fields_with(fields, name)
-    columns = [type(field).columns().get(parameter) for field in fields]
+    columns = [type(field).columns().get(name.removeprefix(PREFIX)) for field in fields]
     return {index: own for index, own in enumerate(columns) if own is not None}

@@ -3,7 +3,8 @@
 The arrays that are reset follow from the declared lifetimes (kernels/declare.py) and are not listed here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,9 @@ def reset(world: World, envs: Any) -> None:
     chosen = env_indices(world.num_envs, envs)
     if not len(chosen):
         return
+    rows_of = cache(lambda symbol: world.layout.rows_of(symbol, chosen))
     for arrays in world.lasting:
-        start = world.start if arrays is world.state else None
-        _return_to_start(arrays, {symbol: world.layout.rows_of(symbol, chosen) for symbol in _symbols(arrays)}, start)
+        _return_to_start(arrays, rows_of, world.start if arrays is world.state else None)
     for shard, own in world.shards.of(chosen):
         rows = {symbol: shard.layout.rows_of(symbol, own) for symbol in ("envs", "bodies")}
         _forget_pairs(shard.pools, rows)
@@ -36,24 +37,18 @@ def forget_bodies(world: World, rows: np.ndarray) -> None:
 
     Their poses and velocities are to be written next.
     """
-    own = {"bodies": rows, joints.FROM_BODIES: rows}
     for arrays in world.lasting:
-        _return_to_start(arrays, own)
+        _return_to_start(arrays, lambda symbol: rows if symbol in ("bodies", joints.FROM_BODIES) else ())
     for shard in world.shards:
         inside = rows[(rows >= shard.first_body) & (rows < shard.end_body)] - shard.first_body
         if len(inside):
             _forget_pairs(shard.pools, {"bodies": inside})
 
 
-def _symbols(arrays: Any) -> set[str]:
-    """What counts the rows of the arrays that a step leaves for the next one."""
-    return {declare.counted_by(field) for _, field, _ in declare.arrays_of(arrays, Lifetime.REMEMBERED)}
-
-
-def _return_to_start(arrays: Any, rows: Mapping[str, np.ndarray], start: Any = None) -> None:
+def _return_to_start(arrays: Any, rows_of: Callable[[str], Any], start: Any = None) -> None:
     """Write the start of what a step leaves for the next one to some rows of each symbol; `start`: arrays with it."""
     for name, field, array in declare.arrays_of(arrays, Lifetime.REMEMBERED):
-        own = rows.get(declare.counted_by(field), ())
+        own = rows_of(declare.counted_by(field))
         if len(own):
             host = array.numpy()
             host[own] = (field.start or 0) if start is None else getattr(start, name).numpy()[own]
@@ -62,6 +57,6 @@ def _return_to_start(arrays: Any, rows: Mapping[str, np.ndarray], start: Any = N
 
 def _forget_pairs(pools: Pools, rows: Mapping[str, np.ndarray]) -> None:
     """Remove the contacts of bodies of a shard, and the contact graph, whose rows depend on the list of pairs."""
-    _return_to_start(pools.graph, rows)
+    _return_to_start(pools.graph, lambda symbol: rows.get(symbol, ()))
     pools.remove_pairs(rows["bodies"])
     pools.forget_graph()

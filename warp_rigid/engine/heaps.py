@@ -65,11 +65,8 @@ class HeapStages:
         self._repeat_rounds(rounds.solve_round, solved, [pools.contacts, pools.graph.residual])
         self._per_round_pair(rounds.finish_pairs, solved, [], [*changed, pools.graph.rounds])
         self._step.share(rounds.finish_bodies, self.rows, [pools.slots], [self.motions])
-        self._stop_resting_islands()
-
-    def _stop_resting_islands(self) -> None:
-        """Stop the islands at rest, whose velocities are errors of the solver."""
-        pools, bodies = self.pools, self.model.bodies
+        # The velocities of islands at rest are errors of the solver.
+        bodies = self.model.bodies
         inputs, changed = [self.envs, pools.rounds], [pools.graph, self.motions, pools.contacts]
         self._step.share(rest.find_held_bodies, self.most_pairs, inputs, changed, before=[self.dt])
         self._step.per_body(rest.find_restless_islands, [self.dt, bodies, *inputs], changed[:2])

@@ -29,34 +29,27 @@ def hints_on(scenes: Sequence[Scene], dt: float) -> list[str]:
     found = []
     for scene in scenes:
         if scene.import_report is None:  # files state their units
-            found += [*_limits_in_degrees(scene), *_targets_in_degrees(scene), *_meshes_of_another_unit(scene)]
+            found += [*_angles_in_degrees(scene), *_meshes_of_another_unit(scene)]
         found += [*_images_without_coordinates(scene), *_long_steps(scene, dt)]
     return list(dict.fromkeys(found))
 
 
-def _limits_in_degrees(scene: Scene) -> list[str]:
-    """Limits of hinges beyond a full turn."""
-    hinges = [entry for entry in scene.joints if entry.joint.coordinate == Coordinate.ANGLE]
-    beyond = [entry for entry in hinges if any(FULL_TURN < abs(limit) < math.inf for limit in entry.joint.range)]
-    return [
-        f"joint {entry.name}: limits of {_numbers(entry.joint.range)} rad are beyond a full turn; if they are degrees, "
-        f"use limits=np.radians({_numbers(entry.joint.range)})"
-        for entry in beyond[:1]
-    ]
-
-
-def _targets_in_degrees(scene: Scene) -> list[str]:
-    """Positions to which drives turn hinges beyond a full turn."""
-    found = []
+def _angles_in_degrees(scene: Scene) -> list[str]:
+    """Limits of hinges beyond a full turn, and positions beyond one to which drives turn hinges."""
+    limits, targets = [], []
     for entry in scene.joints:
-        if entry.joint.coordinate == Coordinate.ANGLE and entry.drive is not None and entry.drive.stiffness > 0.0:
-            angle = entry.drive.target_position
-            if abs(angle) > FULL_TURN:
-                text = (
-                    f"joint {entry.name}: target_position of {angle:g} rad is beyond a full turn; if it is in degrees"
-                )
-                found.append(f"{text}, use np.radians({angle:g})")
-    return found[:1]
+        drive, ends = entry.drive, entry.joint.range
+        if entry.joint.coordinate != Coordinate.ANGLE:
+            continue
+        if any(FULL_TURN < abs(limit) < math.inf for limit in ends):
+            both = f"({', '.join(f'{limit:g}' for limit in ends)})"
+            text = f"joint {entry.name}: limits of {both} rad are beyond a full turn; if they are degrees"
+            limits.append(f"{text}, use limits=np.radians({both})")
+        if drive is not None and drive.stiffness > 0.0 and abs(drive.target_position) > FULL_TURN:
+            angle = f"{drive.target_position:g}"
+            text = f"joint {entry.name}: target_position of {angle} rad is beyond a full turn; if it is in degrees"
+            targets.append(f"{text}, use np.radians({angle})")
+    return [*limits[:1], *targets[:1]]
 
 
 def _meshes_of_another_unit(scene: Scene) -> list[str]:
@@ -85,10 +78,6 @@ def _images_without_coordinates(scene: Scene) -> list[str]:
             text = f"body {scene.bodies[body].name}: the image of its look is not shown"
             return [f"{text}: its shape has no texture coordinates, which meshes have with wr.Mesh(..., uv=)"]
     return []
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return f"({', '.join(f'{value:g}' for value in values)})"
 
 
 def _long_steps(scene: Scene, dt: float) -> list[str]:

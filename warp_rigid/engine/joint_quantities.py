@@ -8,7 +8,7 @@ import numpy as np
 from warp_rigid import rotations
 from warp_rigid.checks import LARGEST, flags, numbers_of_shape, refuse_others
 from warp_rigid.engine.joints import NAME
-from warp_rigid.engine.layout import concatenated, spread_rows
+from warp_rigid.engine.layout import spread_rows
 from warp_rigid.engine.selection import existing
 from warp_rigid.engine.world import World
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Motion
@@ -114,7 +114,7 @@ def write(world: World, name: str, value: Any, rows: np.ndarray, of_all: bool) -
         rows: of the joints.
         of_all: whether no joints were chosen; then joints that cannot have the quantity keep theirs.
     """
-    if not world.layout.sizes[NAME]:
+    if not world.layout.has_joints:
         raise ValueError(f"{name}: the scene has no joints")
     present = existing(rows)
     values, rows = check(name, value, rows.shape)[present], rows[present]
@@ -142,8 +142,7 @@ def write(world: World, name: str, value: Any, rows: np.ndarray, of_all: bool) -
 
 def _entries(world: World) -> tuple[list[JointEntry], np.ndarray]:
     """The joints of the distinct scenes, and for each joint of all environments its index among them."""
-    entries, lengths = concatenated(lambda scene: scene.joints, world.layout.scenes)
-    return entries, world.layout.copies(lengths)
+    return world.layout.entries(lambda scene: scene.joints)
 
 
 def bodies_of(world: World, rows: np.ndarray) -> np.ndarray:
@@ -159,7 +158,7 @@ def _array(world: World, name: str) -> np.ndarray:
 
 def forget_turns(world: World, orientation: np.ndarray, rows: np.ndarray) -> None:
     """Let angles of joints count anew where dynamic bodies (n, m) are set to other orientations (n, m, 4)."""
-    if not world.layout.sizes[NAME]:
+    if not world.layout.has_joints:
         return
     present = existing(rows)
     cosine = (world.state.orientation.numpy()[rows[present]] * orientation[present]).sum(axis=-1)

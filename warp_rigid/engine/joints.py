@@ -121,6 +121,9 @@ def _indices(scene: Scene) -> dict[str, np.ndarray]:
     shared = np.array(found.shared, np.int32).reshape(-1, 2)
     products = np.array(found.products, np.int32).reshape(-1, 3)
     ends = _joints_of_members(scene, found)
+    ends_of = [(entry.body_a, entry.body_b) for entry in scene.joints]
+    moving = {body for body, entry in enumerate(scene.bodies) if entry.motion == Motion.DYNAMIC}
+    mechanism = {body: m for m, members in enumerate(found.members) for body in members}
     lists = {
         "body_a": [entry.body_a for entry in scene.joints],
         "body_b": [entry.body_a if entry.body_b is None else entry.body_b for entry in scene.joints],
@@ -131,8 +134,8 @@ def _indices(scene: Scene) -> dict[str, np.ndarray]:
         "member": [body for bodies in found.members for body in bodies],
         "first_end": np.cumsum([0, *map(len, ends)]),
         "joint_of_end": [joint for joints in ends for joint in joints],
-        "anchored": [any(_is_anchor(scene, joint) for joint in joints) for joints in found.joints],
-        "of_body": _mechanism_of_each_body(scene, found),
+        "anchored": [any(not moving.issuperset(ends_of[joint]) for joint in joints) for joints in found.joints],
+        "of_body": [mechanism.get(body, -1) if body in moving else -1 for body in range(len(scene.bodies))],
         "sequence": found.sequence,
         "column": found.column,
         "elimination": found.elimination,
@@ -151,20 +154,6 @@ def _joints_of_members(scene: Scene, found: Mechanisms) -> list[list[int]]:
     ends = [(entry.body_a, entry.body_b) for entry in scene.joints]
     groups = zip(found.members, found.joints, strict=True)
     return [[joint for joint in joints if body in ends[joint]] for bodies, joints in groups for body in bodies]
-
-
-def _is_anchor(scene: Scene, joint: int) -> bool:
-    """Whether a joint holds a body to the world, or to one that is not dynamic."""
-    ends = (scene.joints[joint].body_a, scene.joints[joint].body_b)
-    return any(body is None or scene.bodies[body].motion != Motion.DYNAMIC for body in ends)
-
-
-def _mechanism_of_each_body(scene: Scene, found: Mechanisms) -> list[int]:
-    """Mechanism of each body, -1 for those that are not dynamic or have no joint."""
-    mechanism = {body: m for m, members in enumerate(found.members) for body in members}
-    return [
-        mechanism.get(body, -1) if entry.motion == Motion.DYNAMIC else -1 for body, entry in enumerate(scene.bodies)
-    ]
 
 
 class JointStages:

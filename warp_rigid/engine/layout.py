@@ -17,6 +17,7 @@ from warp_rigid.scene.body_columns import is_dynamic, shapes_of
 from warp_rigid.scene.look import check_looks
 from warp_rigid.scene.scene import Body, Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Shape, Sphere
+from warp_rigid.scene.shapes.heightfield import moves
 
 MOST_ENVIRONMENTS = 10_000_000
 
@@ -35,6 +36,7 @@ class Layout:
         scenes: as given.
         scene_of: as given, int64.
         num_envs: number of environments.
+        has_joints: whether an environment has joints.
         starts: for each symbol of `counts`, (envs + 1,) the first row of each environment; the last entry is their
             number.
     """
@@ -47,8 +49,8 @@ class Layout:
         self.starts = {
             symbol: exclusive_sums(np.array([some[symbol] for some in counted])[self.scene_of]) for symbol in counted[0]
         }
-        has_joints = bool(self.starts[joints.NAME][-1])
-        self.starts[joints.FROM_BODIES] = self.starts["bodies"] * has_joints
+        self.has_joints = bool(self.starts[joints.NAME][-1])
+        self.starts[joints.FROM_BODIES] = self.starts["bodies"] * self.has_joints
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -86,11 +88,6 @@ class Layout:
         return all(isinstance(shape, Sphere | Box | Capsule | Cylinder) or len(shape.hull) > 0 for shape in self.shapes)
 
     @cached_property
-    def has_joints(self) -> bool:
-        """Whether a scene has joints."""
-        return any(scene.joints for scene in self.scenes)
-
-    @cached_property
     def rows(self) -> np.ndarray:
         """Row of each body of each environment, (envs, most bodies); LACKING where an environment has no such body."""
         return self.table("bodies")
@@ -114,11 +111,6 @@ class Layout:
     def env_of_row(self) -> np.ndarray:
         """Environment of each body, (bodies,)."""
         return np.repeat(np.arange(self.num_envs), self.bodies_per_env)
-
-    @cached_property
-    def is_even(self) -> bool:
-        """Whether all environments have the same number of bodies."""
-        return bool((self.bodies_per_env == self.bodies_per_env[0]).all())
 
     @cached_property
     def scene_bodies(self) -> list[Body]:
@@ -160,9 +152,14 @@ class Layout:
         offset = np.arange(count.sum()) - np.repeat(exclusive_sums(count)[:-1], count)
         return np.repeat(first, count) + offset
 
+    def entries(self, of_scene: Callable[[Scene], Sequence]) -> tuple[list, np.ndarray]:
+        """Entries of the distinct scenes, one scene after another, and the index of each entry of all environments."""
+        parts = [list(of_scene(scene)) for scene in self.scenes]
+        return [entry for part in parts for entry in part], self.copies([len(part) for part in parts])
+
     def by_environment(self, values: np.ndarray) -> np.ndarray:
         """Rows of all bodies as (envs, most bodies, ...); NaN, False or LACKING where an environment has no body."""
-        if self.is_even:
+        if (self.bodies_per_env == self.bodies_per_env[0]).all():  # a view
             return values.reshape(self.num_envs, self.most_bodies, *values.shape[1:])
         return spread_rows(values, self.rows)
 
@@ -211,6 +208,7 @@ def counts(scene: Scene) -> dict[str, int]:
         "filtered": 2 * len(scene.filtered_pairs),
         "fields": len(scene.force_fields),
         "paths": sum(body.path is not None for body in scene.bodies),
+        "vertices": sum(shape.grid_nodes for shape in shapes_of(scene.bodies)[0] if moves(shape)),
         **joints.counts(scene),
     }
 
@@ -226,9 +224,3 @@ def spread_rows(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def exclusive_sums(counted: np.ndarray) -> np.ndarray:
     """Exclusive sums of counts, with the total at the end, (n + 1,) int64."""
     return np.concatenate([[0], np.cumsum(counted, dtype=np.int64)])
-
-
-def concatenated(rows_of: Callable[[Scene], Sequence], scenes: Sequence[Scene]) -> tuple[list, list[int]]:
-    """Entries of all scenes, one scene after another, and the number of entries of each scene."""
-    parts = [list(rows_of(scene)) for scene in scenes]
-    return [entry for part in parts for entry in part], [len(part) for part in parts]

@@ -109,11 +109,6 @@ def units_of(module: Any, device: Any, lanes: int = 1) -> list[str]:
     return list(dict.fromkeys(kernel_for(kernel, device, lanes).module.name for kernel in kernels))
 
 
-def _rank(name: str) -> int:
-    """Place of a Warp module in the order of compilation."""
-    return next((place for place, slow in enumerate(SLOWEST) if f"{slow}." in f"{name}."), len(SLOWEST))
-
-
 def load_kernels(
     device: Any,
     modules: Sequence[Any],
@@ -147,7 +142,7 @@ def load_kernels(
         for block in blocks_of(module, size)
     )
     with ThreadPoolExecutor(usable_cores()) as pool:
-        ordered = sorted(jobs, key=lambda job: _rank(job[0]))
+        ordered = sorted(jobs, key=lambda job: [f"{slow}." not in f"{job[0]}." for slow in SLOWEST])
         loaded = [pool.submit(load_module, device, name, block) for name, block in ordered]
         for ready, done in enumerate(as_completed(loaded), start=1):
             done.result()

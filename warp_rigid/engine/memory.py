@@ -30,20 +30,17 @@ def body_bytes(sizes: dict[str, int]) -> int:
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 
-def shape_bytes(layout: Layout) -> int:
-    """Bytes of the distance grids, triangles and samples of all distinct shapes, without computing the grids."""
-    return sum(bytes_by_shape(layout).values())
-
-
 def bytes_by_shape(layout: Layout, known: dict[str, int] | None = None) -> dict[str, int]:
     """Bytes of the grids, triangles and samples of each distinct shape and its copies, by the key of the shape.
+
+    No grid is computed for it.
 
     Args:
         layout: the environments.
         known: bytes of single shapes by their keys, to which those of new ones are added.
     """
     known = {} if known is None else known
-    sample, cluster = _record_bytes(schema.SampleRecord), _record_bytes(schema.ClusterRecord)
+    sample, cluster = map(wp.types.type_size_in_bytes, (schema.SampleRecord, schema.ClusterRecord))
     found = {}
     for shape, copies in distinct_shapes(layout):
         if shape.key not in known:
@@ -52,10 +49,6 @@ def bytes_by_shape(layout: Layout, known: dict[str, int] | None = None) -> dict[
             known[shape.key] = records + 4 * shape.grid_nodes + tree_bytes(shape.tree_triangles)
         found[shape.key] = copies * known[shape.key]
     return found
-
-
-def _record_bytes(record: Any) -> int:
-    return wp.types.type_size_in_bytes(record)
 
 
 def device_memory(device: Any) -> tuple[int, int]:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from warp_rigid.engine import joints
-from warp_rigid.engine.layout import Layout, concatenated, exclusive_sums
+from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.engine.moving_ground import build_surfaces
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
@@ -51,7 +51,6 @@ class Model:
         layout: the scene of each environment.
         shapes: pool of shapes.
         surfaces: vertices of moving ground.
-        vertex_start: (envs + 1,) first of these vertices of each environment.
         surface_node: their first grid node in the pool.
         bodies: bodies of all environments.
         fields: force fields of all environments.
@@ -63,7 +62,6 @@ class Model:
     layout: Layout
     shapes: Any
     surfaces: Any
-    vertex_start: np.ndarray
     surface_node: int
     bodies: Any
     fields: Any
@@ -71,28 +69,13 @@ class Model:
     joints: Any
     paths: Any
 
-    @property
-    def surface_vertices(self) -> int:
-        """Number of vertices of moving ground."""
-        return int(self.vertex_start[-1] - self.vertex_start[0])
-
     def part(self, first: int, end: int) -> "Model":
         """The model of the environments `first` to `end - 1`, over the same arrays."""
         ranges = self.layout.ranges(first, end)
-        vertices = (int(self.vertex_start[first]), int(self.vertex_start[end]))
-        return replace(
-            self,
-            layout=self.layout.part(first, end),
-            bodies=declare.part(self.bodies, ranges),
-            fields=declare.part(self.fields, ranges),
-            surfaces=declare.part(self.surfaces, {"vertices": vertices, "envs": (first, end)})
-            if vertices[1] > vertices[0]
-            else self.surfaces,
-            vertex_start=self.vertex_start[first : end + 1],
-            surface_node=self.surface_node + vertices[0] - int(self.vertex_start[0]),
-            joints=declare.part(self.joints, ranges),
-            paths=declare.part(self.paths, ranges),
-        )
+        names = ("surfaces", "bodies", "fields", "joints", "paths")
+        parts: dict[str, Any] = {name: declare.part(getattr(self, name), ranges) for name in names}
+        node = self.surface_node + ranges["vertices"][0]
+        return replace(self, layout=self.layout.part(first, end), surface_node=node, **parts)
 
 
 class Arrays(NamedTuple):
@@ -124,9 +107,8 @@ def build_model(layout: Layout, device: Any) -> Model:
     return Model(
         layout=layout,
         shapes=pool.arrays,
-        surfaces=build_surfaces(pool.moving, pool.sample_start, device),
-        vertex_start=pool.vertex_start,
-        surface_node=pool.arrays.grid_value.shape[0] - int(pool.vertex_start[-1]),
+        surfaces=build_surfaces(layout, pool, device),
+        surface_node=pool.arrays.grid_value.shape[0] - layout.sizes["vertices"],
         bodies=_upload_bodies(layout, pool, device),
         fields=_upload_fields(layout, device),
         size_groups=groups,
@@ -153,7 +135,10 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
         "gravity": np.array([scene.gravity for scene in layout.scenes], np.float32),
         "friction_rule": [COMBINE_RULES.index(scene.friction_combine) for scene in layout.scenes],
         "restitution_rule": [COMBINE_RULES.index(scene.restitution_combine) for scene in layout.scenes],
-        "out_of_bounds": [_out_of_bounds(scene) for scene in layout.scenes],
+        "out_of_bounds": [
+            OutOfBounds.UNBOUNDED if scene.bounds is None else OutOfBounds[scene.out_of_bounds.upper()]
+            for scene in layout.scenes
+        ],
         "ccd_iterations": [ccd_iterations(scene) for scene in layout.scenes],
         "lower": np.array([lower for lower, _ in bounds], np.float32),
         "upper": np.array([upper for _, upper in bounds], np.float32),
@@ -172,10 +157,6 @@ def ccd_iterations(scene: Scene) -> int:
     alone = int(is_dynamic(scene.bodies).sum()) - sum(map(len, mechanisms))
     # Mechanisms that fall together stop one after the other, and each stop changes the motion of all bodies of one.
     return min(max(alone + 2 * len(mechanisms), FEWEST_ITERATIONS), MOST_ITERATIONS)
-
-
-def _out_of_bounds(scene: Scene) -> OutOfBounds:
-    return OutOfBounds.UNBOUNDED if scene.bounds is None else OutOfBounds[scene.out_of_bounds.upper()]
 
 
 def _column(layout: Layout, name: str, kind: Any) -> np.ndarray:
@@ -231,13 +212,12 @@ def _centers_of_mass(layout: Layout) -> np.ndarray:
 
 def _upload_fields(layout: Layout, device: Any) -> Any:
     """Write the kinds and parameters of the force fields."""
-    found, lengths = concatenated(lambda scene: scene.force_fields, layout.scenes)
+    found, source = layout.entries(lambda scene: scene.force_fields)
     rows = [field.row() for field in found]
     width = max((len(row) for row in rows), default=0)
     fields = declare.allocate(schema.FieldForces, {**layout.sizes, "field_parameters": width}, device)
     fields.start.assign(layout.starts["fields"].astype(np.int32))
     if layout.sizes["fields"]:
-        source = layout.copies(lengths)
         fields.kind.assign(np.array([int(field.kind) for field in found], np.int32)[source])
         fields.parameters.assign(np.array([np.pad(row, (0, width - len(row))) for row in rows])[source])
     return fields
@@ -245,10 +225,10 @@ def _upload_fields(layout: Layout, device: Any) -> Any:
 
 def _upload_paths(layout: Layout, device: Any) -> Any:
     """Write the distinct paths once, and which body of each environment follows which."""
-    found, lengths = concatenated(lambda scene: [body.path for body in scene.bodies if body.path], layout.scenes)
+    found, source = layout.entries(lambda scene: [body.path for body in scene.bodies if body.path])
     distinct: list[PosePath] = list(dict.fromkeys(found))
     first = exclusive_sums(np.array([len(path.times) for path in distinct], np.int64))
-    which, source = np.array([distinct.index(path) for path in found], np.int64), layout.copies(lengths)
+    which = np.array([distinct.index(path) for path in found], np.int64)
     follows = np.array([body.path is not None for body in layout.scene_bodies], bool)
     rows: dict[str, Any] = {
         "body": np.flatnonzero(follows[layout.source]).astype(np.int32),

@@ -4,24 +4,16 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid.engine.layout import Layout
+from warp_rigid.engine.shape_pool import Pool
 from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.shapes.heightfield import Heightfield
 
 
-def build_surfaces(moving: list, sample_start: np.ndarray, device: Any) -> Any:
-    """The vertices of all moving fields, in the order of their nodes in the pool of grids.
-
-    Args:
-        moving: index in the pool and Entry of each copy of a moving field (shape_pool.py).
-        sample_start: (shapes + 1,) first sample of each shape of the pool.
-        device: a Warp device.
-
-    Returns:
-        The Surfaces.
-    """
-    copies = [_vertices(entry.shape, entry.env, int(sample_start[index])) for index, entry in moving]
-    count = sum(len(copy["env"]) for copy in copies)
-    surfaces = declare.allocate(schema.Surfaces, {"vertices": count}, device)
+def build_surfaces(layout: Layout, pool: Pool, device: Any) -> Any:
+    """The Surfaces: the vertices of all moving fields, in the order of their nodes in the pool of grids."""
+    copies = [_vertices(field, env, int(pool.sample_start[index])) for index, field, env in pool.moving]
+    surfaces = declare.allocate(schema.Surfaces, layout.sizes, device)
     for name in copies[0] if copies else ():
         getattr(surfaces, name).assign(np.concatenate([copy[name] for copy in copies]))
     return surfaces

@@ -22,7 +22,7 @@ from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.layout import LACKING, spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.precision import check_mass_ratio
-from warp_rigid.engine.selection import env_indices, existing, rows_of, rows_to_read
+from warp_rigid.engine.selection import env_indices, existing, rows_of
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.world import World
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -65,11 +65,6 @@ def owner_of(name: str) -> str:
     return "envs" if name == "gravity" or name in PER_ENVIRONMENT else "bodies"
 
 
-def is_of_bodies(name: str) -> bool:
-    """Whether a quantity has a value for each body."""
-    return owner_of(name) == "bodies"
-
-
 def select(world: World, name: str, envs: Any, bodies: Any, joints: Any) -> np.ndarray:
     """A copy of a quantity of chosen environments, bodies and joints; see Simulator.get."""
     if name not in READABLE:
@@ -81,7 +76,7 @@ def select(world: World, name: str, envs: Any, bodies: Any, joints: Any) -> np.n
     values, wanted, owner = read(world, name), bodies if joints is None else joints, owner_of(name)
     if wanted is None:
         return values if envs is None else values[chosen]
-    rows = rows_to_read(world.layout, chosen, wanted, owner)
+    rows = rows_of(world.layout, chosen, wanted, owner, of_some=True)
     index = rows - world.layout.starts[owner][chosen, None]
     places = np.where(existing(rows), chosen[:, None] * values.shape[1] + index, LACKING)
     return spread_rows(values.reshape(-1, *values.shape[2:]), places)
@@ -103,10 +98,8 @@ def check_owner(name: str, bodies: Any, joints: Any) -> None:
 
 def read(world: World, name: str) -> np.ndarray:
     """A copy of a quantity of all environments, (envs, ...)."""
-    if name in STATE_NAMES:
-        return _rows(world, getattr(world.state, name))
-    if name in COEFFICIENTS or name in SURFACE_VELOCITIES or name == "mass":
-        return _rows(world, getattr(world.model.bodies, name))
+    if name in (*STATE_NAMES, *COEFFICIENTS, *SURFACE_VELOCITIES, "mass"):
+        return _rows(world, _array_of(world, name))
     if name == "gravity":
         return world.envs.gravity.numpy().copy()
     if name in PER_ENVIRONMENT:
@@ -267,7 +260,11 @@ def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> N
     if name == "sleeping":
         rows = rows_of(world.layout, chosen, None)
         wake(world, chosen, rows)
-        _count_anew(world, rows)
+        # The device counts still steps only if a body of the batch may sleep: the count restarts.
+        assign_rows(world.sleep_state.still_steps, 0, rows)
+        for state in ("position", "orientation"):
+            values = spread_rows(getattr(world.state, state).numpy(), rows)
+            assign_rows(getattr(world.sleep_state, state), values, rows)
     world.choose_step()
 
 
@@ -284,13 +281,6 @@ def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> Non
     host = array.numpy()
     field_values.write(world.layout, host, name, new, rows)
     array.assign(host)
-
-
-def _count_anew(world: World, rows: np.ndarray) -> None:
-    """Restart the count of still steps: the device counts only if a body of the batch may sleep."""
-    assign_rows(world.sleep_state.still_steps, 0, rows)
-    for name in ("position", "orientation"):
-        assign_rows(getattr(world.sleep_state, name), spread_rows(getattr(world.state, name).numpy(), rows), rows)
 
 
 def write_rows(world: World, name: str, value: Any, rows: np.ndarray) -> None:
@@ -329,7 +319,7 @@ def store_rows(world: World, name: str, values: np.ndarray, rows: np.ndarray) ->
 
 
 def _array_of(world: World, name: str) -> wp.array:
-    """The device array of a state quantity or coefficient."""
+    """The device array of a state quantity, a coefficient or the mass."""
     return getattr(world.state if name in STATE_NAMES else world.model.bodies, name)
 
 

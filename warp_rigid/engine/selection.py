@@ -31,7 +31,9 @@ def env_indices(num_envs: int, envs: Any) -> np.ndarray:
     return _whole_indices("envs", envs, num_envs)
 
 
-def rows_of(layout: Layout, chosen: np.ndarray, given: Any, symbol: str = "bodies", name: str = "") -> np.ndarray:
+def rows_of(
+    layout: Layout, chosen: np.ndarray, given: Any, symbol: str = "bodies", name: str = "", of_some: bool = False
+) -> np.ndarray:
     """Rows of bodies or joints of the chosen environments, (chosen, n).
 
     Args:
@@ -41,59 +43,38 @@ def rows_of(layout: Layout, chosen: np.ndarray, given: Any, symbol: str = "bodie
             joints, where a row is LACKING if an environment has fewer.
         symbol: "bodies" or "joints".
         name: of the argument for the error message, if it is not that symbol.
+        of_some: whether it is enough that one of these environments has each; a row is LACKING in the others.
 
     Raises:
-        ValueError: a scene of the chosen environments has no such body or joint.
+        ValueError: a scene, or with `of_some` every scene, of the chosen environments has no such body or joint.
     """
     if given is None:
         return layout.table(symbol)[chosen]
     scenes = np.unique(layout.scene_of[chosen]).tolist()
-    given = _without_slice(layout, scenes, given, symbol)
-    own = {scene: _indices_in_scene(layout, scene, given, name or symbol, symbol) for scene in scenes}
-    return _rows_of_scenes(layout, chosen, own, symbol)
-
-
-def rows_to_read(layout: Layout, chosen: np.ndarray, given: Any, symbol: str) -> np.ndarray:
-    """Rows of bodies or joints of the chosen environments, (chosen, n); LACKING where an environment lacks one.
-
-    Args:
-        layout: the environments.
-        chosen: indices of environments.
-        given: indices, names or a slice; at least one of these environments must have each.
-        symbol: "bodies" or "joints".
-
-    Raises:
-        ValueError: no scene of the chosen environments has such a body or joint.
-    """
-    scenes = np.unique(layout.scene_of[chosen]).tolist()
-    given = _without_slice(layout, scenes, given, symbol)
-    names = named(given)
-    known = {scene: names_of(layout.scenes[scene], symbol) for scene in scenes}
-    if names is None or not all(any(one in place for place in known.values()) for one in names):
-        for scene in sorted(scenes, key=lambda one: -len(known[one]))[:1]:  # the most bodies: the largest index
-            given = _indices_in_scene(layout, scene, given, symbol, symbol)
-    if names is not None:
-        _check_distinct(symbol, names, given)
-        own = {scene: np.array([place.get(one, LACKING) for one in names]) for scene, place in known.items()}
+    if isinstance(given, slice):  # it counts in the scene with the most bodies or joints
+        given = np.arange(max((len(getattr(layout.scenes[scene], symbol)) for scene in scenes), default=0))[given]
+    if of_some:
+        own = _indices_in_some(layout, scenes, given, symbol)
     else:
-        own = {scene: np.where(given < len(place), given, LACKING) for scene, place in known.items()}
-    return _rows_of_scenes(layout, chosen, own, symbol)
-
-
-def _without_slice(layout: Layout, scenes: list[int], given: Any, symbol: str) -> Any:
-    """Indices instead of a slice, which counts in the scene with the most bodies or joints."""
-    if not isinstance(given, slice):
-        return given
-    return np.arange(max((len(getattr(layout.scenes[scene], symbol)) for scene in scenes), default=0))[given]
-
-
-def _rows_of_scenes(layout: Layout, chosen: np.ndarray, own: dict[int, np.ndarray], symbol: str) -> np.ndarray:
-    """Rows from the indices within each scene, (chosen, n); LACKING where an index is."""
+        own = {scene: _indices_in_scene(layout, scene, given, name or symbol, symbol) for scene in scenes}
     table = np.zeros((len(layout.scenes), len(next(iter(own.values()), ()))), np.int64)
     for scene, indices in own.items():
         table[scene] = indices
     index = table[layout.scene_of[chosen]]
     return np.where(index == LACKING, LACKING, layout.starts[symbol][chosen, None] + index)
+
+
+def _indices_in_some(layout: Layout, scenes: list[int], given: Any, symbol: str) -> dict[int, np.ndarray]:
+    """Indices within each scene, of which at least one must have each body or joint; LACKING in the others."""
+    names = named(given)
+    known = {scene: names_of(layout.scenes[scene], symbol) for scene in scenes}
+    if names is None or not all(any(one in place for place in known.values()) for one in names):
+        for scene in sorted(scenes, key=lambda one: -len(known[one]))[:1]:  # the most bodies: the largest index
+            given = _indices_in_scene(layout, scene, given, symbol, symbol)
+    if names is None:
+        return {scene: np.where(given < len(place), given, LACKING) for scene, place in known.items()}
+    _check_distinct(symbol, names, given)
+    return {scene: np.array([place.get(one, LACKING) for one in names]) for scene, place in known.items()}
 
 
 def _indices_in_scene(layout: Layout, scene: int, given: Any, name: str, symbol: str) -> np.ndarray:

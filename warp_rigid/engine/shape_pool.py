@@ -38,16 +38,14 @@ class Pool:
     Attributes:
         arrays: the schema.Shapes.
         shape_of_row: index into the pool for each body of all environments, (bodies,) int32.
-        moving: the moving shapes with their environments and indices in the pool.
+        moving: index in the pool, field and environment of each copy of a moving field.
         sample_start: (shapes + 1,) first sample of each shape of the pool.
-        vertex_start: (envs + 1,) first vertex of moving ground of each environment.
     """
 
     arrays: Any
     shape_of_row: np.ndarray
-    moving: list[tuple[int, Entry]]
+    moving: list[tuple[int, Heightfield, int]]
     sample_start: np.ndarray
-    vertex_start: np.ndarray
 
 
 def build_pool(layout: Layout, device: Any) -> Pool:
@@ -56,10 +54,6 @@ def build_pool(layout: Layout, device: Any) -> Pool:
     parts = [entry.shape.parts() for entry in entries]
     samples = [entry.shape.samples() for entry in entries]
     grids, grid_of_part = _grids(entries, parts)
-    vertices = np.zeros(layout.num_envs, np.int64)
-    for entry in entries:
-        if entry.env >= 0:
-            vertices[entry.env] += entry.shape.grid_nodes
     balls = np.concatenate([entry.shape.inner_balls for entry in entries])
     hull = np.concatenate([np.zeros((0, 3)), *(entry.shape.hull for entry in entries)])
     nodes, triangles = _trees([part for group in parts for part in group])
@@ -78,9 +72,8 @@ def build_pool(layout: Layout, device: Any) -> Pool:
     return Pool(
         arrays=declare.upload(schema.Shapes, rows, device),
         shape_of_row=shape_of_row,
-        moving=[(index, entry) for index, entry in enumerate(entries) if entry.env >= 0],
+        moving=[(index, one.shape, one.env) for index, one in enumerate(entries) if moves(one.shape)],
         sample_start=exclusive_sums(np.array([len(some.kind) for some in samples])),
-        vertex_start=exclusive_sums(vertices),
     )
 
 

@@ -149,17 +149,15 @@ class Shard:
     def record_measuring(self) -> None:
         """Record the kernels of `deepest_overlap`, unless recorded already; one shard at a time, as for the step."""
         stages = self.stages
-        if self._measuring is None:
-            self._record_measuring(stages)
-
-    @exclusive()
-    def _record_measuring(self, stages: Stages) -> None:
-        load_kernels(self._device, OVERLAP)
-        self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
-        with wp.ScopedCapture(self._device, force_module_load=False) as capture:
-            self.pools.begin()
-            stages.deepest_overlap(self._deepest)
-        self._measuring = capture.graph
+        if self._measuring is not None:
+            return
+        with exclusive():
+            load_kernels(self._device, OVERLAP)
+            self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
+            with wp.ScopedCapture(self._device, force_module_load=False) as capture:
+                self.pools.begin()
+                stages.deepest_overlap(self._deepest)
+            self._measuring = capture.graph
 
     def deepest_overlap(self) -> np.ndarray:
         """Deepest overlap in each of its environments, (envs,) [m]; see Simulator.penetration."""

@@ -13,7 +13,16 @@ import warp as wp
 
 from warp_rigid.checks import whole_in
 from warp_rigid.display import html_of
-from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, stage_times, step_reports, watching
+from warp_rigid.engine import (
+    checkpoint,
+    forgetting,
+    health_checks,
+    quantities,
+    spawning,
+    stage_times,
+    step_reports,
+    watching,
+)
 from warp_rigid.engine.hints import hints_on
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.selection import Indices, Members
@@ -361,7 +370,7 @@ class Simulator:
         Contacts with a negative depth were gaps at the start of the step, which could close in it; their impulse is 0
         if they did not. Impulses of impacts, which act before those of contacts, are left out; `watched` includes them.
         """
-        return step_reports.contact_records(self._world)
+        return self._world.shards.gather(step_reports.contacts_of_shard)
 
     @guarded
     def penetration(self) -> np.ndarray:
@@ -407,7 +416,7 @@ class Simulator:
           the fastest one in contact. Piles of fallen bodies are not checked: their impulses converge over several
           steps.
         """
-        return step_reports.warnings(self._world)
+        return health_checks.warning_records(self._world.envs, self.settings.dt)
 
     @guarded
     def watch(self, watched: Sequence[Any]) -> None:

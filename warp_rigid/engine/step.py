@@ -82,12 +82,12 @@ class Stages:
         self.model, self.state, self.sleep_state, self.envs = arrays
         self.dt, self.repetitions, self.sleeping, running = options
         self.pools, self.watches, model = pools, watches, self.model
-        self.has_surface_velocity = running or model.surface_vertices > 0
         self.on_stage: Callable[[str | None], None] = ignore_stage
         self.current_stage: str | None = None
         self.device: Any = pools.wanted.device
-        layout = model.layout
-        self.num_envs, self.rows = layout.num_envs, layout.sizes["bodies"]
+        layout, sizes = model.layout, model.layout.sizes
+        self.num_envs, self.rows, self.surface_vertices = layout.num_envs, sizes["bodies"], sizes["vertices"]
+        self.has_surface_velocity = running or self.surface_vertices > 0
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
         self.crowded = layout.is_crowded
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies, layout.has_joints)
@@ -102,7 +102,7 @@ class Stages:
         optional = (
             (loading.SLEEP, self.sleeping),
             (loading.GROUND, self.has_surface_velocity),
-            (loading.PATHS, layout.sizes["paths"] > 0),
+            (loading.PATHS, sizes["paths"] > 0),
             (loading.CANDIDATES, self.grid.buckets > 0),
             (loading.WATCH, watches),
         )
@@ -129,7 +129,7 @@ class Stages:
         self.set_surface_velocity(before_step=True)
         self.solve_impacts()
         self.integrate_velocities(after_impacts=True)
-        if self.model.surface_vertices:
+        if self.surface_vertices:
             self.set_surface_velocity(before_step=False)
         self.solve_contacts()
         self.push_out()
@@ -144,10 +144,9 @@ class Stages:
     @stage
     def move_ground(self) -> None:
         """Moving ground: compute the current heights and velocities."""
-        count = self.model.surface_vertices
-        if count:
+        if self.surface_vertices:
             inputs = [self.dt, self.model.surface_node, self.envs, self.model.surfaces]
-            self.launch(ground_motion.move_ground, count, inputs, [self.model.shapes])
+            self.launch(ground_motion.move_ground, self.surface_vertices, inputs, [self.model.shapes])
 
     @stage
     def follow_paths(self) -> None:
@@ -173,7 +172,7 @@ class Stages:
         inputs = [dt, model.shapes, model.bodies, self.state, self.sleep_state, self.envs, model.fields]
         self.per_body(predict.derive_motion, inputs, [self.motions])
         self.joints.bound_travel()
-        if model.surface_vertices:
+        if self.surface_vertices:
             inputs = [model.shapes, model.bodies, self.envs]
             self.per_body(ground_motion.drive_ground, inputs, [self.motions])
 
@@ -194,7 +193,7 @@ class Stages:
         self.pools.near.count.zero_()
         self._search_contacts(woken=0)
         if self.sleeping:
-            self._per_pair(sleep.wake_touched, [pairs], [self.sleep_state])
+            self.launch(sleep.wake_touched, self.pools.sizes["pairs"], [pairs], [self.sleep_state])
             self.per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
@@ -280,8 +279,13 @@ class Stages:
     @stage
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
+
+        def find_impacts() -> None:
+            self._trace_fast_pairs()
+            self.open_iteration(is_first=0)
+
         self.open_iteration(is_first=1)
-        wp.capture_while(self.pools.suspects.again, self._find_impacts)
+        wp.capture_while(self.pools.suspects.again, find_impacts)
         self.joints.close_stopped()
 
     @stage
@@ -304,7 +308,8 @@ class Stages:
         self.per_body(sleep.track_motion, [self.model.shapes, bodies, self.state, self.motions], [self.sleep_state])
         inputs = [self.dt, self.model.shapes, bodies, self.envs, self.motions, graph, self.state]
         self.per_body(sleep.test_bodies_for_sleep, inputs, [self.sleep_state])
-        self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
+        inputs = [pairs, self.motions, bodies, graph]
+        self.launch(sleep.test_support_for_sleep, self.pools.sizes["pairs"], inputs, [self.sleep_state])
         self.joints.support()
         self.per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
 
@@ -376,10 +381,6 @@ class Stages:
         """Launch a kernel with a thread for each body."""
         self.launch(kernel, self.rows, inputs, outputs)
 
-    def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
-        """Launch a kernel with a thread for each pair."""
-        self.launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
-
     def share(
         self, kernel: Any, size: int, inputs: list, outputs: list, before: Sequence = (), lanes: int | None = None
     ) -> None:
@@ -419,11 +420,6 @@ class Stages:
         self.per_body(ccd.open_iteration, [is_first, self.dt, pairs], [self.motions, suspects])
         self.joints.join_courses()
         self.share(ccd.list_fast_pairs, self.pools.sizes["pairs"], [*self.moving, self.envs], [suspects, pairs])
-
-    def _find_impacts(self) -> None:
-        """An iteration of continuous collision detection, and the list of fast pairs of the next one."""
-        self._trace_fast_pairs()
-        self.open_iteration(is_first=0)
 
     def _trace_fast_pairs(self) -> None:
         """The times of impact of the listed pairs, and the motion of bodies after their first impact."""

@@ -36,12 +36,8 @@ STATUS_RECORD = np.dtype(
 )
 
 
-def contact_records(world: World) -> np.ndarray:
-    """Contacts of the last step; see Simulator.contacts."""
-    return world.shards.gather(_contacts_of_shard)
-
-
-def _contacts_of_shard(shard: Shard) -> np.ndarray:
+def contacts_of_shard(shard: Shard) -> np.ndarray:
+    """Contacts of the last step in a shard; see Simulator.contacts."""
     history = shard.pools.history
     start = history.contact_start.numpy()
     pairs_before = history.pair_start.numpy()
@@ -79,15 +75,10 @@ def status_records(world: World) -> np.ndarray:
         records["step"][found] = getattr(envs, f"{flag}_step").numpy()[found]
         records["body"][found] = getattr(envs, f"{flag}_body").numpy()[found]
     records["time"] = np.where(records["step"] >= 0, records["step"] * world.settings.dt, -1.0)
-    warned = warnings(world)
+    warned = health_checks.warning_records(envs, world.settings.dt)
     for env in np.unique(warned["env"]):
         records["warning"][env] = ", ".join(warned["warning"][warned["env"] == env])
     return records
-
-
-def warnings(world: World) -> np.ndarray:
-    """Warnings of the health checks; see Simulator.warnings."""
-    return health_checks.warning_records(world.envs, world.settings.dt)
 
 
 def counts(world: World) -> dict[str, int]:

@@ -59,16 +59,12 @@ def _bodies(scene: Scene, bodies: Any) -> tuple[int, int]:
     if bodies is None:
         return int(ANY), int(ANY)
     pair = bodies if isinstance(bodies, list | tuple) else [bodies]
-    if len(pair) not in (1, 2):
+    known = all(isinstance(one, str | int | np.integer) and not isinstance(one, bool) for one in pair)
+    if not known or len(pair) not in (1, 2):
         raise ValueError(f"watched: must be None, a body or a pair of bodies, got {shown(bodies)}")
     place = names_of(scene)
-    found = []
-    for one in pair:
-        if not isinstance(one, str | int | np.integer) or isinstance(one, bool):
-            raise ValueError(f"watched: must be None, a body or a pair of bodies, got {shown(bodies)}")
-        index = place.get(one, NONE) if isinstance(one, str) else int(one)
-        found.append(index if 0 <= index < len(scene.bodies) else NONE)
-    if NONE in found:
+    found = [place.get(one, NONE) if isinstance(one, str) else int(one) for one in pair]
+    if not all(0 <= index < len(scene.bodies) for index in found):
         return NONE, NONE
     if len(found) == 2 and found[0] == found[1]:
         raise ValueError(f"watched: must be a pair of two different bodies, got {shown(bodies)}")

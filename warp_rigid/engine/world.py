@@ -10,7 +10,7 @@ from warp_rigid.engine import pools
 from warp_rigid.engine.batch import Shards, plan
 from warp_rigid.engine.layout import Layout
 from warp_rigid.engine.loading import GRIDS, HEAPS, JOINTS, STEP, load_kernels
-from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
+from warp_rigid.engine.memory import MemoryLimit, body_bytes, bytes_by_shape, pool_bytes
 from warp_rigid.engine.model import Arrays, build_model, initial_environments, initial_state
 from warp_rigid.engine.precision import check_precision
 from warp_rigid.engine.settings import Settings
@@ -68,7 +68,7 @@ class World:
         self.memory_limit = MemoryLimit(device, memory_limit)
         sizes = initial_capacity(layout, capacity)
         ranges = plan(layout, sizes, device)
-        other_bytes = body_bytes(layout.sizes) + shape_bytes(layout)
+        other_bytes = body_bytes(layout.sizes) + sum(bytes_by_shape(layout).values())
         needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
         self.memory_limit.check(0, needed, f"simulating {self.num_envs} environment(s)")
         lanes = team_lanes(device, self.num_envs, layout.most_bodies, layout.has_joints)

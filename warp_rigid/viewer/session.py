@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_rigid.engine import joint_quantities
 from warp_rigid.engine.field_values import PREFIX
-from warp_rigid.engine.quantities import WRITABLE, is_of_bodies
+from warp_rigid.engine.quantities import WRITABLE, owner_of
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.rotations import inverse, rotate
@@ -275,7 +275,7 @@ class Session:
         names += [f"{PREFIX}{name}" for field in old.scene.force_fields for name in field.parameters()]
         for name in names:
             value, now = old.get(name), new.get(name)
-            if not is_of_bodies(name):
+            if owner_of(name) != "bodies":
                 if not np.array_equal(value, now):
                     new.set(name, list(value) if name in self._settings else value)
             elif not np.array_equal(value, now[:, : old.num_bodies]):
