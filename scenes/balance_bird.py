@@ -10,7 +10,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Mesh, Sphere, tessellation
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import Verdict, below, indices
+from warp_rigid.scenes.demo import SOUND, SceneOutcome, Verdict, below
 
 PEDESTAL_RADII = (0.08, 0.006)
 """Radius of the pedestal at its foot and at its flat top [m]."""
@@ -89,43 +89,40 @@ def _wing(start, end):
     return Box((0.5 * length, 0.022, 0.003)), tuple(0.5 * (start + end)), (-s * e, c * e, s * d, c * d)
 
 
-class BirdOutcome:
+class BirdOutcome(SceneOutcome):
     """Whether the bird stays on the pedestal, and the period of its swing."""
 
-    def __init__(self, scene):
-        """Compute from the centre of mass whether the bird stays, and its period."""
-        (self.bird,) = indices(scene, "bird")
-        body = scene.bodies[self.bird]
-        properties = body.shape.mass_properties
-        self.depth = -float(properties.center_of_mass[2])
-        self.start = 2.0 * math.asin(body.orientation[1])
-        # The tip rolls on the pedestal, so the bird turns about the point of contact, TIP below the tip's centre.
-        inertia = properties.inertia[1, 1] / properties.volume + (self.depth - TIP) ** 2
-        self.period = 2.0 * math.pi * math.sqrt(inertia / (9.81 * self.depth)) if self.depth > 0.0 else math.inf
-        self.times, self.pitches = [], []
+    prefix = "bird"
+    times = pitches = ()
 
     def observe(self, sim):
         """Record the pitch."""
-        axis = rotate(sim.get("orientation")[:, self.bird].astype(np.float64), np.array([[1.0, 0.0, 0.0]]))
-        self.times.append(float(sim.time))
-        self.pitches.append(np.arctan2(-axis[:, 2], axis[:, 0]))
+        axis = rotate(sim.get("orientation")[:, self.bodies[0]].astype(np.float64), np.array([[1.0, 0.0, 0.0]]))
+        self.times = (*self.times, float(sim.time))
+        self.pitches = (*self.pitches, np.arctan2(-axis[:, 2], axis[:, 0]))
 
     def verdicts(self, sim):
         """Distance of the tip from its place, and the period and the largest pitch of a bird that stays."""
-        place = sim.get("position")[:, self.bird].astype(np.float64)
+        body = sim.scene.bodies[self.bodies[0]]
+        properties, swing = body.shape.mass_properties, 2.0 * math.asin(body.orientation[1])
+        depth = -float(properties.center_of_mass[2])
+        place = sim.get("position")[:, self.bodies[0]].astype(np.float64)
         moved = np.linalg.norm(place - [0.0, 0.0, TOP + TIP], axis=1)
-        sure = {"default": True} if abs(self.depth) > STILL_CERTAIN else {}
-        if self.depth <= 0.0:
+        sure = SOUND if abs(depth) > STILL_CERTAIN else {}
+        if depth <= 0.0:
             fell = moved > TOP / 2
             return [Verdict("moved", moved, "falls: the tip moves by > 60 mm", fell, sure, "mm")]
         stays = below("moved", moved, 5e-3, "stays: the tip within 5 mm of its place", sure)
-        if not self.times or self.times[-1] - self.times[0] < 2.5 * self.period or abs(self.start) < 0.02:
+        # The tip rolls on the pedestal, so the bird turns about the point of contact, TIP below the tip's centre.
+        inertia = properties.inertia[1, 1] / properties.volume + (depth - TIP) ** 2
+        period = 2.0 * math.pi * math.sqrt(inertia / (9.81 * depth))
+        if not self.times or self.times[-1] - self.times[0] < 2.5 * period or abs(swing) < 0.02:
             return [stays]
         pitch = np.array(self.pitches)
-        error = np.array([_period(self.times, column) for column in pitch.T]) / self.period - 1.0
-        swings = sure if abs(self.start) < LARGEST_SWING else {}
-        grown = np.abs(pitch).max(axis=0) / abs(self.start) - 1.0
-        text = f"period within 2 % of {self.period:.3f} s"
+        error = np.array([_period(self.times, column) for column in pitch.T]) / period - 1.0
+        swings = sure if abs(swing) < LARGEST_SWING else {}
+        grown = np.abs(pitch).max(axis=0) / abs(swing) - 1.0
+        text = f"period within 2 % of {period:.3f} s"
         return [
             stays,
             Verdict("period_error", error, text, np.abs(error) < 0.02, swings, "%"),

@@ -41,8 +41,9 @@ def build(bones: int = 20, seed: int = 0) -> Scene:
     bones = whole_in("bones", bones, 1, 2000)
     position, orientation = starts(bones, seed)
     scene = grounds.level_scene(name="floor", **SURFACE, camera=Camera.orbit(-70.0, 26.0))
-    grounds.add_bin(scene, _plot_half(bones), _wall_height(bones), WALL_THICKNESS, names="wall", **SURFACE)
-    scene.add_static(_funnel(bones), position=(0, 0, _opening_height(bones)), name="funnel", **SURFACE)
+    plot = Plot(bones)
+    grounds.add_bin(scene, plot.half, plot.height, WALL_THICKNESS, names="wall", **SURFACE)
+    scene.add_static(_funnel(plot), position=(0, 0, plot.opening), name="funnel", **SURFACE)
     shapes = {"cranium": meshes.cranium(), "pelvis": meshes.pelvis(), "femur": meshes.femur()}
     kinds = _kinds(bones, seed)
     names = [f"bone_{i}_{kind}" for i, kind in enumerate(kinds)]
@@ -61,44 +62,37 @@ def _kinds(bones, seed):
 def starts(bones: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Where the bones start: centres of mass (bones, 3) [m] and unit quaternions (bones, 4)."""
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 5))
-    lowest = _opening_height(bones) + _funnel_rise(bones) + 0.6 * PITCH
-    position = piles.lattice(bones, _side(bones), PITCH, lowest) + rng.uniform(-JITTER, JITTER, (bones, 3))
+    plot = Plot(bones)
+    lowest = plot.opening + plot.rise + 0.6 * PITCH
+    position = piles.lattice(bones, plot.side, PITCH, lowest) + rng.uniform(-JITTER, JITTER, (bones, 3))
     return position, rotations.random(rng, bones)
 
 
-def _side(bones):
-    """Bones along each side of the lattice, which is about as high as wide."""
-    return max(2, math.ceil(bones ** (1.0 / 3.0)))
+class Plot:
+    """Dimensions of the plot and the funnel for a number of bones.
+
+    Attributes:
+        side: bones along each side of the lattice, which is about as high as wide.
+        half: half of the plot's inner width [m].
+        height: of the plot's walls [m].
+        opening: height of the funnel's lower opening, above the top of the final pile [m].
+        radius: inner radius of the funnel's upper rim, which encloses the whole lattice [m].
+        rise: height of the funnel [m].
+    """
+
+    def __init__(self, bones: int):
+        """Compute them."""
+        self.side = max(2, math.ceil(bones ** (1.0 / 3.0)))
+        self.half = max(0.6, 0.14 * bones ** (1.0 / 3.0))
+        self.height = 0.5 + 0.1 * self.side
+        self.opening = self.height + 0.25
+        self.radius = 2.0**0.5 * 0.5 * self.side * PITCH + 0.1
+        self.rise = (self.radius - OPENING) * math.tan(SLOPE)
 
 
-def _plot_half(bones):
-    """Half of the plot's inner width [m]."""
-    return max(0.6, 0.14 * bones ** (1.0 / 3.0))
-
-
-def _wall_height(bones):
-    """Height of the plot's walls [m]."""
-    return 0.5 + 0.1 * _side(bones)
-
-
-def _opening_height(bones):
-    """Height of the funnel's lower opening [m], above the top of the final pile."""
-    return _wall_height(bones) + 0.25
-
-
-def _funnel_radius(bones):
-    """Inner radius of the funnel's upper rim [m], which encloses the whole lattice."""
-    return 2.0**0.5 * 0.5 * _side(bones) * PITCH + 0.1
-
-
-def _funnel_rise(bones):
-    """Height of the funnel [m]."""
-    return (_funnel_radius(bones) - OPENING) * math.tan(SLOPE)
-
-
-def _funnel(bones):
+def _funnel(plot):
     """A conical shell with an upper and a lower opening; the lower one is at z = 0."""
-    radius, rise = _funnel_radius(bones), _funnel_rise(bones)
+    radius, rise = plot.radius, plot.rise
     out, down = SHELL * math.sin(SLOPE), SHELL * math.cos(SLOPE)
     section = [[OPENING, 0.0], [OPENING + out, -down], [radius + out, rise - down], [radius, rise]]
     return Mesh(*tessellation.wheel(np.array(section), 48), sdf_resolution=128)
@@ -111,9 +105,9 @@ class BonesOutcome(OverlapOutcome):
 
     def verdicts(self, sim):
         """Bones that left the plot, bones still in the funnel, and overlap."""
-        count = len(self.bodies)
-        above = sim.get("center_of_mass")[:, self.bodies, 2] > _opening_height(count)
-        left, waiting = (outside(sim, self.bodies, _plot_half(count)) & ~above).sum(axis=1), above.sum(axis=1)
+        count, plot = len(self.bodies), Plot(len(self.bodies))
+        above = sim.get("center_of_mass")[:, self.bodies, 2] > plot.opening
+        left, waiting = (outside(sim, self.bodies, plot.half) & ~above).sum(axis=1), above.sum(axis=1)
         through = SOUND if count <= 100 else {}
         return [
             Verdict("escaped", left, "no bone outside the plot", left == 0),

@@ -33,15 +33,10 @@ def build(height: int = 10) -> Scene:
     rises = [2.0 * HALF + GAP_GROWTH * (i + 1) for i in range(height)]
     heights = np.cumsum([PLATFORM_TOP - HALF, *rises])[1:]
     add_bodies(scene, stacks.CUBE, [(0, 0, z) for z in heights], names="box", friction=0.5)
-    _add_projectile(scene, PLATFORM_TOP + 1.2 * HALF * height)
+    half, shelf = PROJECTILE_HALF, PLATFORM_TOP + 1.2 * HALF * height
+    grounds.add_platform(scene, 0.3, 0.3, shelf, x=SHELF_X, friction=0.5, name="shelf")
+    scene.add_body(Box((half,) * 3), position=(SHELF_X, 0, shelf + half), friction=0.5, name="projectile")
     return scene
-
-
-def _add_projectile(scene, top):
-    """Add a larger box on a shelf whose upper face is at height `top` [m]."""
-    half = PROJECTILE_HALF
-    grounds.add_platform(scene, 0.3, 0.3, top, x=SHELF_X, friction=0.5, name="shelf")
-    scene.add_body(Box((half,) * 3), position=(SHELF_X, 0, top + half), friction=0.5, name="projectile")
 
 
 def events(scene):
@@ -59,12 +54,7 @@ class StackOutcome(OverlapOutcome):
 
     prefix = "box_"
 
-    def __init__(self, scene):
-        """Compute the exact heights of the boxes at rest."""
-        super().__init__(scene)
-        self.movable = self.bodies + indices(scene, "projectile")
-        self.ideal = PLATFORM_TOP + HALF * (2.0 * np.arange(len(self.bodies)) + 1.0)
-        self.top = None
+    top = None
 
     def observe(self, sim):
         """Record overlap, before the hit for itself, and the deviations in the last second before it."""
@@ -74,9 +64,10 @@ class StackOutcome(OverlapOutcome):
         self.keep_largest(depth=sim.penetration())
         if sim.time < LAUNCH_TIME - 1.0:
             return
+        ideal = PLATFORM_TOP + HALF * (2.0 * np.arange(len(self.bodies)) + 1.0)
         position = sim.get("position")[:, self.bodies].astype(np.float64)
         sideways = np.linalg.norm(position[..., :2], axis=-1).max(axis=1)
-        self.keep_largest(drift=sideways, sink=np.abs(position[..., 2] - self.ideal).max(axis=1))
+        self.keep_largest(drift=sideways, sink=np.abs(position[..., 2] - ideal).max(axis=1))
         self.top = position[:, -1]
 
     def verdicts(self, sim):
@@ -97,7 +88,7 @@ class StackOutcome(OverlapOutcome):
             verdicts += [
                 Verdict("thrown", moved, "hit moves the top box by > 0.2 m", moved > 0.2, hit, "m"),
                 *self.overlap_verdicts(sim, 5e-5, 0.01),
-                rest_verdict(sim, self.movable),
+                rest_verdict(sim, self.bodies + indices(sim.scene, "projectile")),
             ]
         return verdicts
 

@@ -69,19 +69,15 @@ class BridgeOutcome(ClosedJointsOutcome):
 
     prefix = ""
 
-    def __init__(self, scene):
-        """Compute the height at which the load hangs."""
-        super().__init__(scene)
-        planks = len(scene.bodies) - 1
-        span = planks * SPACING / SLACK
-        # With a load that is much heavier than the bridge, its two halves are straight.
-        self.deepest = HEIGHT - np.sqrt((0.5 * planks * SPACING) ** 2 - (0.5 * span) ** 2)
-
     def judge(self, sim):
         """Joints closed; the load in its place, and at rest."""
+        planks = len(self.bodies) - 1
+        span = planks * SPACING / SLACK
+        # With a load that is much heavier than the bridge, its two halves are straight.
+        deepest = HEIGHT - np.sqrt((0.5 * planks * SPACING) ** 2 - (0.5 * span) ** 2)
         height = sim.get("position")[:, -1, 2].astype(np.float64) + ROPE
-        away = np.abs(height - self.deepest)
-        text = f"load hangs within 0.1 m of the height of straight halves, {self.deepest:.3f} m"
+        away = np.abs(height - deepest)
+        text = f"load hangs within 0.1 m of the height of straight halves, {deepest:.3f} m"
         return [
             self.closed_verdict(1e-3),
             Verdict("sag", away, text, away < 0.1, unit="m"),

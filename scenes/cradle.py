@@ -9,7 +9,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.joints import DistanceJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Sphere
-from warp_rigid.scenes.demo import Verdict
+from warp_rigid.scenes.demo import SceneOutcome, Verdict
 
 RADIUS = 0.05
 LENGTH = 0.5
@@ -36,17 +36,16 @@ def build(angle: float = 0.5) -> Scene:
     return scene
 
 
-class CradleOutcome:
+class CradleOutcome(SceneOutcome):
     """Speeds of all balls right after the first impact."""
 
-    def __init__(self, scene):
-        """Compute the speed of the first ball at the lowest point."""
-        height = LENGTH + scene.bodies[0].position[2]
-        self.speed, self.after = math.sqrt(2.0 * GRAVITY * height), None
+    prefix = "ball_"
+    after = None
 
     def observe(self, sim):
-        """Record the speeds of each environment once its last ball moves."""
-        speeds = np.abs(sim.get("linear_velocity")[:, :, 0]) / self.speed
+        """Record the speeds of each environment once its last ball moves, over that of the first at its lowest."""
+        fallen = LENGTH + self.start[0, 2]
+        speeds = np.abs(sim.get("linear_velocity")[:, :, 0]) / math.sqrt(2.0 * GRAVITY * fallen)
         if self.after is None:
             self.after = np.full(speeds.shape, np.nan)
         first = np.isnan(self.after[:, 0]) & (speeds[:, -1] > 0.5)

@@ -252,17 +252,15 @@ class OverlapOutcome(SceneOutcome):
         deepest: deepest overlap at any time [m].
     """
 
-    def __init__(self, scene: Scene) -> None:
-        """Find the bodies."""
-        super().__init__(scene)
-        self.recent: list = []
-        self.lasting: Any = 0.0
-        self.deepest: Any = 0.0
+    recent: tuple = ()
+    lasting: Any = 0.0
+    deepest: Any = 0.0
 
     def observe(self, sim: Any) -> None:
         """Record the overlap at this frame."""
         now, time = sim.penetration(), float(sim.time)
-        self.recent = [frame for frame in self.recent if time - LASTING - 1e-6 < frame[0] < time] + [(time, now)]
+        before = (frame for frame in self.recent if time - LASTING - 1e-6 < frame[0] < time)
+        self.recent = (*before, (time, now))
         self.deepest = np.maximum(self.deepest, now)
         if time - self.recent[0][0] > LASTING - 1e-6:
             self.lasting = np.maximum(self.lasting, np.min([overlap for _, overlap in self.recent], axis=0))

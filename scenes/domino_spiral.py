@@ -1,6 +1,7 @@
 """A leaning domino topples a spiral of others, if it leans by more than atan(thickness / height)."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import OverlapOutcome, Verdict
+from warp_rigid.scenes.demo import SOUND, OverlapOutcome, Verdict
 
 HALF = (0.016, 0.06, 0.18)
 """Half of a domino's thickness, width and height [m]."""
@@ -76,13 +77,7 @@ class DominoOutcome(OverlapOutcome):
 
     prefix = "domino_"
 
-    def __init__(self, scene):
-        """Find the dominoes and whether the first one must fall."""
-        super().__init__(scene)
-        steps = np.linalg.norm(np.diff(self.start[:, :2], axis=0), axis=1)
-        self.along = np.concatenate([[0.0], np.cumsum(steps)])
-        self.lean = math.degrees(self._lean(np.array([scene.bodies[self.bodies[0]].orientation]))[0])
-        self.fell_at = np.inf
+    fell_at: Any = np.inf
 
     @staticmethod
     def _lean(orientation):
@@ -101,14 +96,17 @@ class DominoOutcome(OverlapOutcome):
         if not self.recent:
             return []
         count, fallen = len(self.bodies), np.isfinite(self.fell_at).sum(axis=1)
-        sure = {"default": True} if abs(self.lean - TOPPLING_ANGLE) > MARGIN else {}
-        if self.lean < TOPPLING_ANGLE:
+        lean = math.degrees(self._lean(np.array([sim.scene.bodies[self.bodies[0]].orientation]))[0])
+        sure = SOUND if abs(lean - TOPPLING_ANGLE) > MARGIN else {}
+        if lean < TOPPLING_ANGLE:
             stands = Verdict("fallen", fallen, "none falls: the lean is below 5.08 degrees", fallen == 0, sure)
             return [stands, *self.overlap_verdicts(sim, 2e-4, 0.006)]
+        steps = np.linalg.norm(np.diff(self.start[:, :2], axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)])
         with np.errstate(invalid="ignore"):
             in_order = (np.diff(self.fell_at, axis=1) >= 0.0).all(axis=1)
             third = count // 3
-            speed = (self.along[-1] - self.along[third]) / (self.fell_at[:, -1] - self.fell_at[:, third])
+            speed = (along[-1] - along[third]) / (self.fell_at[:, -1] - self.fell_at[:, third])
             plausible = (speed > 0.5 * SPEED_SCALE) & (speed < 2.5 * SPEED_SCALE)
         order = fallen == count
         return [

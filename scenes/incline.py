@@ -46,17 +46,6 @@ class InclineOutcome(SceneOutcome):
 
     prefix = "block"
 
-    def __init__(self, scene):
-        """Compute whether friction can hold the block."""
-        super().__init__(scene)
-        body = scene.bodies[scene.index("block")]
-        slope = 2.0 * math.atan2(body.orientation[1], body.orientation[3])
-        self.downhill = np.array([math.cos(slope), 0.0, -math.sin(slope)])
-        self.surplus = body.friction - math.tan(slope)
-        self.sharp, self.blunt = (margin * math.tan(slope) for margin in MARGINS)
-        self.steep = slope > math.radians(5.0)
-        self.chatters = body.restitution > 0.9 and self.steep
-
     def observe(self, sim):
         """Record the largest height above the platform and the largest penetration."""
         gap = clearance(sim, sim.scene.index("block"), sim.scene.index("platform"))
@@ -64,14 +53,19 @@ class InclineOutcome(SceneOutcome):
 
     def judge(self, sim):
         """Sliding distance, lift and penetration, each of which must stay below 1 mm."""
-        slide = (sim.get("position")[:, self.bodies].astype(np.float64) - self.start)[:, 0] @ self.downhill
+        body = sim.scene.bodies[sim.scene.index("block")]
+        slope = 2.0 * math.atan2(body.orientation[1], body.orientation[3])
+        downhill = np.array([math.cos(slope), 0.0, -math.sin(slope)])
+        surplus, steep = body.friction - math.tan(slope), slope > math.radians(5.0)
+        sharp, blunt = (margin * math.tan(slope) for margin in MARGINS)
+        slide = (sim.get("position")[:, self.bodies].astype(np.float64) - self.start)[:, 0] @ downhill
         sound = {"default": True, "one_pass": True}
-        stays = {"default": self.surplus > self.sharp, "one_pass": self.surplus > self.blunt}
+        stays = {"default": surplus > sharp, "one_pass": surplus > blunt}
         stays = {name: True for name, holds in stays.items() if holds}
-        slips = {"default": False, "one_pass": False} if self.surplus < -self.blunt else {}
-        if self.surplus < -self.sharp and self.steep:
+        slips = {"default": False, "one_pass": False} if surplus < -blunt else {}
+        if surplus < -sharp and steep:
             slips["default"] = False
-        chatters = {"collisions_last": False} if self.chatters else {}
+        chatters = {"collisions_last": False} if body.restitution > 0.9 and steep else {}
         sinks = {"no_contact": False}
         return [
             below("slide", slide, 1e-3, "slides < 1 mm downhill", stays | slips | chatters),

@@ -8,7 +8,7 @@ from warp_rigid.checks import number_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, screw_threads
-from warp_rigid.scenes.demo import OverlapOutcome, Verdict, below
+from warp_rigid.scenes.demo import SOUND, OverlapOutcome, Verdict, below
 
 THREAD = screw_threads.Thread()
 LENGTH, NUT_HEIGHT, HEAD_HEIGHT, ACROSS_FLATS = 0.14, 0.06, 0.04, 0.12
@@ -60,20 +60,12 @@ class NutOutcome(OverlapOutcome):
 
     prefix = "nut"
 
-    def __init__(self, scene):
-        """Compute from the friction what must happen."""
-        super().__init__(scene)
-        (self.nut,) = self.bodies
-        body = scene.bodies[self.nut]
-        solid = body.shape.mass_properties
-        self.friction = body.friction
-        self.acceleration = acceleration(self.friction, solid.inertia[2, 2] / solid.volume)
-        self.angle = self.turned = self.before = self.passed_at = None
+    angle = turned = before = passed_at = None
 
     def observe(self, sim):
         """Record the angle, the distance from the thread, and when the nut is half-way down."""
         super().observe(sim)
-        orientation = sim.get("orientation")[:, self.nut].astype(np.float64)
+        orientation = sim.get("orientation")[:, self.bodies[0]].astype(np.float64)
         angle = 2.0 * np.arctan2(orientation[:, 2], orientation[:, 3])
         if self.angle is None:
             self.angle, self.turned = angle, angle
@@ -81,7 +73,7 @@ class NutOutcome(OverlapOutcome):
             self.before = (0.0, np.zeros(len(angle)))
         self.turned = self.turned + (angle - self.angle + np.pi) % (2.0 * np.pi) - np.pi
         self.angle = angle
-        drop = self.start[0, 2] - sim.get("position")[:, self.nut, 2].astype(np.float64)
+        drop = self.start[0, 2] - sim.get("position")[:, self.bodies[0], 2].astype(np.float64)
         helix = THREAD.pitch * self.turned / (2.0 * np.pi)
         self.keep_largest(off_thread=np.where(np.all(drop < START), np.abs(drop + helix), 0.0))
         time, earlier = self.before
@@ -92,14 +84,15 @@ class NutOutcome(OverlapOutcome):
 
     def judge(self, sim):
         """Descent or lock, distance from the thread, time to half-way, and overlap."""
-        drop = self.before[1]
-        sure = {"default": True} if abs(self.friction / CRITICAL_FRICTION - 1.0) > MARGIN else {}
+        body, drop = sim.scene.bodies[self.bodies[0]], self.before[1]
+        solid = body.shape.mass_properties
+        sure = SOUND if abs(body.friction / CRITICAL_FRICTION - 1.0) > MARGIN else {}
         overlap = self.overlap_verdicts(sim, 2e-4, 1e-3)
         text = "within 1 mm of the thread, on 40 mm a turn"
         follows = below("off_thread", self.largest["off_thread"], 1e-3, text, sure)
-        if self.friction >= CRITICAL_FRICTION:
+        if body.friction >= CRITICAL_FRICTION:
             return [below("drop", drop, 1e-3, "held: the nut sinks by < 1 mm", sure), follows, *overlap]
-        exact = math.sqrt(2.0 * HALF_WAY / self.acceleration)
+        exact = math.sqrt(2.0 * HALF_WAY / acceleration(body.friction, solid.inertia[2, 2] / solid.volume))
         if sim.time < 1.5 * exact:
             return []
         error = self.passed_at / exact - 1.0

@@ -41,17 +41,12 @@ class PalletOutcome(OverlapOutcome):
 
     prefix = "box_"
 
-    def __init__(self, scene):
-        """Note the shape at the start."""
-        super().__init__(scene)
-        self.places = self.start - self.start[0]
-
     def observe(self, sim):
         """Record the overlap and the largest displacement."""
         super().observe(sim)
         place = sim.get("position")[:, self.bodies].astype(np.float64)
         to_frame = inverse(sim.get("orientation")[:, self.bodies[0]].astype(np.float64))
-        moved = rotate(to_frame[:, None], place - place[:, :1]) - self.places
+        moved = rotate(to_frame[:, None], place - place[:, :1]) - (self.start - self.start[0])
         self.keep_largest(drift=np.linalg.norm(moved, axis=-1).max(axis=1))
 
     def judge(self, sim):

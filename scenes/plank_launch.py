@@ -45,17 +45,13 @@ class LaunchOutcome(SceneOutcome):
 
     prefix = "small_"
 
-    def __init__(self, scene):
-        """Compute until when the launch lasts."""
-        super().__init__(scene)
-        drop = scene.bodies[scene.index("large")].position[2] - LARGE_HALF - 2.0 * (BASE_HALF[2] + PLANK_HALF[2])
-        self.launched = math.sqrt(2.0 * drop / -scene.gravity[2]) + LAUNCH_LASTS
-
     def observe(self, sim):
         """Record each small box's largest rise, and the plank's deepest penetration during the launch."""
         self.keep_largest(rises=sim.get("position")[:, self.bodies, 2] - self.start[:, 2])
-        if sim.time < self.launched:
-            self.keep_largest(depth=-clearance(sim, sim.scene.index("plank"), sim.scene.index("base")))
+        scene = sim.scene
+        drop = scene.bodies[scene.index("large")].position[2] - LARGE_HALF - 2.0 * (BASE_HALF[2] + PLANK_HALF[2])
+        if sim.time < math.sqrt(2.0 * drop / -scene.gravity[2]) + LAUNCH_LASTS:
+            self.keep_largest(depth=-clearance(sim, scene.index("plank"), scene.index("base")))
 
     def judge(self, sim):
         """The smallest rise, and the penetration, which must stay below 2 % of the plank's thickness."""

@@ -50,8 +50,10 @@ def build(rings: int = 12, poles: int = 4, seed: int = 0) -> Scene:
     position, orientation = starts(rings, poles, seed)
     scene = grounds.level_scene(name="ground", **SURFACE, camera=Camera.orbit(-67.0, 20.0))
     pole = Cylinder(POLE_RADIUS, POLE_HALF_HEIGHT)
-    for i, place in enumerate(_pole_places(side)):
-        scene.add_static(pole, position=(*place, POLE_HALF_HEIGHT), name=f"pole_{i}", **SURFACE)
+    line = POLE_PITCH * (np.arange(side) - 0.5 * (side - 1))
+    for i, (row, column) in enumerate(np.ndindex(side, side)):
+        place = (line[row], line[column], POLE_HALF_HEIGHT)
+        scene.add_static(pole, position=place, name=f"pole_{i}", **SURFACE)
     ring = meshes.torus(RING_MAJOR, RING_MINOR)
     add_bodies(scene, ring, position, orientation, names="ring", mass=MASS, **SURFACE)
     return scene
@@ -85,12 +87,6 @@ def _side(poles):
     return side
 
 
-def _pole_places(side):
-    """Feet of the poles, (side^2, 2) [m]."""
-    line = POLE_PITCH * (np.arange(side) - 0.5 * (side - 1))
-    return np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-
-
 def threaded(position, orientation, feet) -> np.ndarray:
     """Number of rings with a pole in their hole, (envs,).
 
@@ -116,21 +112,17 @@ class RingsOutcome(OverlapOutcome):
 
     prefix = "ring_"
 
-    def __init__(self, scene):
-        """Find rings and poles."""
-        super().__init__(scene)
-        self.feet = np.array([scene.bodies[i].position[:2] for i in indices(scene, "pole_")])
-        self.bound = LOST * CYLINDER_A_SIDE * math.isqrt(len(self.feet))
-
     def verdicts(self, sim):
         """Rings lost, rings on poles, and overlap."""
         position = sim.get("position")[:, self.bodies].astype(np.float64)
         orientation = sim.get("orientation")[:, self.bodies].astype(np.float64)
+        feet = np.array([sim.scene.bodies[i].position[:2] for i in indices(sim.scene, "pole_")])
+        bound = LOST * CYLINDER_A_SIDE * math.isqrt(len(feet))
         # A ring whose position is NaN counts as lost.
-        there = (np.linalg.norm(position[..., :2], axis=-1) < self.bound) & (position[..., 2] > 0.0)
+        there = (np.linalg.norm(position[..., :2], axis=-1) < bound) & (position[..., 2] > 0.0)
         lost = (~there).sum(axis=1)
-        on_poles = threaded(position, orientation, self.feet)
-        some = SOUND if len(self.bodies) >= 3 * len(self.feet) else {}
+        on_poles = threaded(position, orientation, feet)
+        some = SOUND if len(self.bodies) >= 3 * len(feet) else {}
         return [
             Verdict("lost", lost, "no ring lost", lost == 0),
             Verdict("threaded", on_poles, "at least one ring on a pole", on_poles > 0, some),

@@ -57,13 +57,6 @@ def _add_turning(scene, name, half_extents, place, mass, friction):
 class SeesawOutcome(SceneOutcome):
     """The plank's largest tilt to the right, and the largest tilt to the left after that."""
 
-    def __init__(self, scene):
-        """Compute whether the large block outweighs the small one."""
-        super().__init__(scene)
-        blocks = [scene.bodies[scene.index(name)] for name in ("large", "small")]
-        moments = [block.mass * block.position[0] for block in blocks]
-        self.uneven = sum(moments) > 0.1 * moments[0]
-
     def observe(self, sim):
         """Record the largest tilts; tilt to the left counts only after the plank has tipped right."""
         orientation = sim.get("orientation")[:, sim.scene.index("plank")].astype(np.float64)
@@ -74,9 +67,12 @@ class SeesawOutcome(SceneOutcome):
 
     def judge(self, sim):
         """Both tilts, which must exceed 10 degrees."""
+        blocks = [sim.scene.bodies[sim.scene.index(name)] for name in ("large", "small")]
+        moments = [block.mass * block.position[0] for block in blocks]
         # There is no expectation if the blocks nearly balance or the small one is heavier.
-        tips = {"default": True, "one_pass": True, "no_contact": True} if self.uneven else {}
-        back = tips | {"no_contact": False} if self.uneven else {}
+        uneven = sum(moments) > 0.1 * moments[0]
+        tips = {"default": True, "one_pass": True, "no_contact": True} if uneven else {}
+        back = tips | {"no_contact": False} if uneven else {}
         right, left = self.largest["right"], self.largest["left"]
         return [
             Verdict("tips", right, f"tips right > {TIPPED:g} degrees", right > TIPPED, tips, "degrees"),
