@@ -55,8 +55,8 @@ Integers shared by the host and the kernels, as declared in `kernels/enums.py`.
 def page() -> str:
     """The whole page."""
     symbols = {**schema.SYMBOLS, **arrays.JOINT_SYMBOLS}
-    sizes = table("symbol", "counts", rows=[(code(name), text) for name, text in symbols.items()])
-    lifetimes = table("lifetime", "values", rows=[(code(one.name.lower()), one.value) for one in declare.Lifetime])
+    sizes = table("symbol", "counts", rows=[(f"`{name}`", text) for name, text in symbols.items()])
+    lifetimes = table("lifetime", "values", rows=[(f"`{one.name.lower()}`", one.value) for one in declare.Lifetime])
     structs = [section(name, struct_table(fields)) for name, fields in declare.LAYOUTS.items()]
     records = [section(name, record_table(name, fields)) for name, fields in declare.RECORDS.items()]
     parts = [
@@ -106,7 +106,7 @@ def record_table(name: str, fields: dict[str, declare.Field]) -> str:
 
 def declaration(name: str, field: declare.Field, shape: bool) -> str:
     """As in "`mass` float32 (bodies) [kg]"."""
-    parts = [code(name), type_name(field.dtype)]
+    parts = [f"`{name}`", type_name(field.dtype)]
     if shape:
         parts.append(f"({field.shape})")
     if field.unit:
@@ -128,7 +128,7 @@ def enumeration(node: ast.ClassDef, declared: type[IntEnum]) -> str:
         for above, below in zip(node.body, node.body[1:], strict=False)
         if isinstance(above, ast.Assign) and isinstance(below, ast.Expr)
     }
-    members = [f"{code(name)}: {int(value)}" for name, value in declared.__members__.items()]
+    members = [f"`{name}`: {int(value)}" for name, value in declared.__members__.items()]
     line = ", ".join(members) + "."
     if described:
         texts = [f", {described[name]}" if name in described else "." for name in declared.__members__]
@@ -140,11 +140,6 @@ def table(*columns: str, rows: list[tuple[str, ...]]) -> str:
     """A table in Markdown."""
     lines = [columns, ("---",) * len(columns), *rows]
     return "\n".join(" | ".join(cell.replace("|", r"\|") for cell in line).rstrip() for line in lines)
-
-
-def code(text: str) -> str:
-    """Text as code."""
-    return f"`{text}`"
 
 
 def type_name(dtype: Any) -> str:
