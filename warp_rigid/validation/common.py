@@ -63,13 +63,12 @@ def stop_checks(speed: Series, way: Series, time, distance, limit: float, creep:
     def way_to_stop(trace):
         return at_time(trace, way(trace), stopped(trace))
 
-    def moved_after(trace):
-        return np.abs(way(trace)[-1] - way_to_stop(trace))
-
     return [
         measured("time to stop", "s", stopped, relative(limit), time, **options),
         measured("distance to stop", "m", way_to_stop, relative(limit), distance, **options),
-        measured("motion after the stop", "m", moved_after, at_most(creep), **options),
+        measured(
+            "motion after the stop", "m", lambda t: np.abs(way(t)[-1] - way_to_stop(t)), at_most(creep), **options
+        ),
     ]
 
 

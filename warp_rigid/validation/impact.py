@@ -362,13 +362,10 @@ def elastic(title, source, places, duration):
     def off(t):
         return t.energy / t.energy[0] - 1.0
 
-    def root_mean_square(t):
-        return np.sqrt((off(t) ** 2).mean(axis=0))
-
     return case(
         f"V21 {title}",
         source,
-        measured("energy error, root mean square", "", root_mean_square, at_most(0.01)),
+        measured("energy error, root mean square", "", lambda t: np.sqrt((off(t) ** 2).mean(0)), at_most(0.01)),
         measured("energy gained", "", lambda t: off(t).max(axis=0), at_most(0.01)),
         of=Experiment(on_ground(*balls, **surface), duration, dt=1e-3, every=10),
         curve=Curve("energy over that at the start", "", lambda t: t.energy / t.energy[0]),

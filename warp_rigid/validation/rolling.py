@@ -39,11 +39,6 @@ def stop_time(trace):
     return time_at_rest(trace, trace.speed)
 
 
-def rolling_distance(trace):
-    """Position of the ball along x where it starts to roll, (envs,) [m]."""
-    return at_time(trace, forward(trace), rolling_time(trace))
-
-
 def forward(trace):
     """Position of the ball along x, (records, envs) [m]."""
     return trace.position[:, :, 1, 0]
@@ -63,6 +58,10 @@ def slide_to_roll():
     v0, mu = 5.0, 0.2
     time = 2 * v0 / (7 * mu * G)
     distance = v0 * time - 0.5 * mu * G * time**2
+
+    def rolling_distance(trace):
+        return at_time(trace, forward(trace), rolling_time(trace))
+
     return case(
         "V24 ball that slides until it rolls, v0 5 m/s, mu 0.2",
         COULOMB,
