@@ -36,7 +36,9 @@ def run_cells(notebook: dict) -> list:
             value = _execute("".join(cell["source"]), names, number)
         figures = [plt.figure(k) for k in plt.get_fignums()]
         cell["execution_count"] = number
-        cell["outputs"] = _stream(printed.getvalue()) + [_image(figure) for figure in figures]
+        text = printed.getvalue().splitlines(keepends=True)
+        stream = {"name": "stdout", "output_type": "stream", "text": text}
+        cell["outputs"] = [stream] * bool(text) + [_image(figure) for figure in figures]
         if value is not None:
             cell["outputs"].append(_result(value, number))
         shown += [*figures, value] if isinstance(value, Figure) else figures
@@ -61,12 +63,6 @@ def _result(value, number: int) -> dict:
     elif hasattr(value, "_repr_html_"):
         data["text/html"] = value._repr_html_().splitlines(keepends=True)
     return {"data": data, "execution_count": number, "metadata": {}, "output_type": "execute_result"}
-
-
-def _stream(text: str) -> list:
-    if not text:
-        return []
-    return [{"name": "stdout", "output_type": "stream", "text": text.splitlines(keepends=True)}]
 
 
 def _image(figure) -> dict:

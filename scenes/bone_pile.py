@@ -45,18 +45,13 @@ def build(bones: int = 20, seed: int = 0) -> Scene:
     grounds.add_bin(scene, plot.half, plot.height, WALL_THICKNESS, names="wall", **SURFACE)
     scene.add_static(_funnel(plot), position=(0, 0, plot.opening), name="funnel", **SURFACE)
     shapes = {"cranium": meshes.cranium(), "pelvis": meshes.pelvis(), "femur": meshes.femur()}
-    kinds = _kinds(bones, seed)
+    femurs, pelvises = round(0.1 * bones), round(0.3 * bones)
+    ordered = np.repeat(KINDS, (bones - pelvises - femurs, pelvises, femurs))
+    kinds = np.random.default_rng((seed, 4)).permutation(ordered).tolist()
     names = [f"bone_{i}_{kind}" for i, kind in enumerate(kinds)]
     drawn = [shapes[kind] for kind in kinds]
     add_bodies(scene, drawn, position, orientation, names=names, density=DENSITY, **SURFACE)
     return scene
-
-
-def _kinds(bones, seed):
-    """The kind of each bone: 60, 30 and 10 % in random order."""
-    femurs, pelvises = round(0.1 * bones), round(0.3 * bones)
-    kinds = np.repeat(KINDS, (bones - pelvises - femurs, pelvises, femurs))
-    return np.random.default_rng((seed, 4)).permutation(kinds).tolist()
 
 
 def starts(bones: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

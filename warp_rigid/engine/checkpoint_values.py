@@ -47,7 +47,10 @@ def check(world: World, rows: Mapping[str, np.ndarray]) -> None:
     _finite("Environments.gravity", rows["Environments.gravity"])
     _finite("State.orientation", rows["State.orientation"], _of_unit_length, "quaternions of length 1")
     _check_masses(world, rows)
-    _check_fields(world, rows["FieldForces.parameters"])
+    fields, source = world.layout.entries(lambda scene: scene.force_fields)
+    for index, field in enumerate(fields):
+        for row in np.unique(rows["FieldForces.parameters"][: len(source)][source == index], axis=0):
+            type(field).from_row(row)
     if world.layout.has_joints:
         numbers = rows["Joints.numbers"]
         for name, column in joint_quantities.NUMBERS.items():
@@ -95,10 +98,3 @@ def _check_masses(world: World, rows: Mapping[str, np.ndarray]) -> None:
             scale = np.abs(values).max(axis=tuple(range(1, values.ndim)), keepdims=True)
             if not (np.abs(found - values) <= ROUNDING * scale).all():
                 raise ValueError(f"Bodies.{name} must follow from the masses")
-
-
-def _check_fields(world: World, parameters: np.ndarray) -> None:
-    fields, source = world.layout.entries(lambda scene: scene.force_fields)
-    for index, field in enumerate(fields):
-        for row in np.unique(parameters[: len(source)][source == index], axis=0):
-            type(field).from_row(row)

@@ -26,7 +26,10 @@ def spawn(world: World, pool: str, poses: dict[str, Any], envs: Any) -> np.ndarr
         found[place] = free[0] if len(free) else LACKING
     rows = np.where(found == LACKING, LACKING, layout.first_body[chosen] + found)[:, None]
     given = {name: _one_row_each(world, name, value, rows) for name, value in poses.items()}
-    _clear(world, rows)
+    # The check of energies compares sums over all bodies with earlier ones, so that the gained energy is kept.
+    only_gained = world.state.health.numpy()[rows] * np.array([1.0, 0.0, 0.0, 0.0])
+    forgetting.forget_bodies(world, rows[existing(rows)])
+    quantities.assign_rows(world.state.health, only_gained, rows)
     for name, values in given.items():
         quantities.store_rows(world, name, values, rows)
     quantities.assign_rows(world.state.active, 1, rows)
@@ -62,13 +65,3 @@ def _one_row_each(world: World, name: str, value: Any, rows: np.ndarray) -> np.n
     if shape_of(value) not in ((length,), (1, length), (count, length)):
         raise ValueError(f"{name}: must be ({length},) or ({count}, {length}) numbers, got {shown(value)}")
     return quantities.checked_rows(world, name, np.reshape(value, (-1, 1, length)), rows)
-
-
-def _clear(world: World, rows: np.ndarray) -> None:
-    """Reset the history of bodies that are activated again.
-
-    Their gained energy is kept, because the check of energies compares sums over all bodies with earlier ones.
-    """
-    only_gained = world.state.health.numpy()[rows] * np.array([1.0, 0.0, 0.0, 0.0])
-    forgetting.forget_bodies(world, rows[existing(rows)])
-    quantities.assign_rows(world.state.health, only_gained, rows)
