@@ -139,14 +139,20 @@ def test_pages_follow_a_body_and_keep_how_they_look_at_it():
     assert np.allclose(camera.position - camera.look_at, (0, -3, 1))
 
 
-def test_a_ray_hits_the_nearest_body_of_finite_size():
-    shapes = [wr.Plane(), wr.Sphere(0.5), wr.Box((0.5, 0.5, 0.5)), wr.Box((0.1, 5.0, 0.1))]
-    position = np.array([(0, 0, 0), (3.0, 0, 1.0), (1.0, 0, 1.0), (-1.0, 3.0, 1.0)])
-    orientation = np.tile((0.0, 0, 0, 1), (4, 1))
-    body, point = first_hit(shapes, position, orientation, np.array((-5.0, 0, 1.2)), np.array((2.0, 0, 0)))
+def test_a_ray_hits_the_nearest_body_that_is_chosen():
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    for shape, position in (
+        (wr.Sphere(0.5), (3.0, 0, 1.0)),
+        (wr.Box((0.5, 0.5, 0.5)), (1.0, 0, 1.0)),
+        (wr.Box((0.1, 5.0, 0.1)), (-1.0, 3.0, 1.0)),
+    ):
+        scene.add_static(shape, position=position)
+    film = film_from_recording(wr.record(wr.Simulator(scene, device="cpu"), frames=0))
+    body, point = first_hit(film, np.arange(4), np.array((-5.0, 0, 1.2)), np.array((2.0, 0, 0)))
     # The bounding sphere of the long box is met first, the box itself is not.
     assert body == 2 and np.allclose(point, (0.5, 0, 1.2), atol=2e-3)
-    assert first_hit(shapes, position, orientation, np.array((-5.0, 0, 5.0)), np.array((0, 0, -1.0))) is None
+    assert first_hit(film, np.arange(1, 4), np.array((-5.0, 0, 5.0)), np.array((0, 0, -1.0))) is None
 
 
 @pytest.fixture

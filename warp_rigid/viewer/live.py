@@ -24,7 +24,7 @@ from warp_rigid.viewer.history import QUANTITIES, History, Moment
 from warp_rigid.viewer.instances import Instances, bytes_of_light
 from warp_rigid.viewer.overlays import CONTACTS, Overlays
 from warp_rigid.viewer.panel import Panel
-from warp_rigid.viewer.picking import first_hit, trace
+from warp_rigid.viewer.picking import first_hit
 from warp_rigid.viewer.session import Paced, Session
 from warp_rigid.viewer.slicing import SliceView
 
@@ -385,8 +385,10 @@ class LiveViewer:
                 line = event.client.camera.position, event.start_position, event.end_position
                 self.ask(self._drag, event.phase, chosen, event.instance_index, *line)
 
-    def _picked(self, chosen: np.ndarray, index: Any, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int]:
-        """Row and body that the page has picked.
+    def _picked(
+        self, chosen: np.ndarray, index: Any, origin: np.ndarray, direction: np.ndarray
+    ) -> tuple[int, int, np.ndarray]:
+        """Row and body that the page has picked, and where its ray hits the body or passes its origin.
 
         The page gives no index for what it draws around the body under the pointer: then the ray tells the body.
 
@@ -394,36 +396,34 @@ class LiveViewer:
             ValueError: There is no such body, or no longer.
         """
         sim = self.session.sim
-        if index is not None:
-            if not isinstance(index, int) or not 0 <= index < len(chosen) or chosen[index] >= len(self._film.mesh):
-                raise ValueError("body: the one that was clicked is not on the page")
-            return divmod(int(chosen[index]), sim.num_bodies)
-        shapes = [body.shape for body in self.session.plan.scene.bodies] * len(self.rows)
-        position = sim.get("position")[self.rows] + self._film.offset[:, None]
-        position[~sim.get("active")[self.rows]] = np.nan  # which no ray hits
-        orientation = sim.get("orientation")[self.rows]
-        found = first_hit(shapes, position.reshape(-1, 3), orientation.reshape(-1, 4), origin, direction)
-        if found is None:
-            raise ValueError("body: there is none under the pointer")
-        return divmod(found[0], sim.num_bodies)
+        film = replace(self._film, **self._poses({name: sim.get(name) for name in QUANTITIES}))
+        if index is None:
+            found = first_hit(film, np.flatnonzero(~film.flat), origin, direction)
+            if found is None:
+                raise ValueError("body: there is none under the pointer")
+        elif not isinstance(index, int) or not 0 <= index < len(chosen) or chosen[index] >= len(film.mesh):
+            raise ValueError("body: the one that was clicked is not on the page")
+        else:
+            ahead = direction / np.linalg.norm(direction)
+            passed = origin + ((film.position[0, chosen[index]] - origin) @ ahead) * ahead
+            found = first_hit(film, chosen[[index]], origin, direction) or (int(chosen[index]), passed)
+        return *divmod(found[0], sim.num_bodies), found[1]
 
     def _push(self, chosen: np.ndarray, index: Any, origin: Any, direction: Any) -> None:
         """Push the body that a ray hits, away from the camera."""
         origin, direction = check_point("ray", origin), check_point("direction", direction)
         if np.linalg.norm(direction) < LEAST_DIRECTION:
             raise ValueError("direction: must not be zero")
-        row, body = self._picked(chosen, index, origin, direction)
-        env, data, sim = int(self.rows[row]), self.session.plan.scene.bodies[body], self.session.sim
+        row, body, place = self._picked(chosen, index, origin, direction)
+        env, data = int(self.rows[row]), self.session.plan.scene.bodies[body]
         if data.motion != Motion.DYNAMIC:
             self._panel.say(f"**{data.name}** is {data.motion.name.lower()}: a push does not move it")
             self.choose(body, env)
             return
-        position, orientation = sim.get("position")[env, body], sim.get("orientation")[env, body]
-        point, _ = trace(data.shape, position, orientation, origin - self._film.offset[row], direction)
+        point = place - self._film.offset[row]
         velocity = self._options["strength"] * direction / np.linalg.norm(direction)
-        impulse = self.session.push(env, body, point, velocity)
-        strength, place = np.linalg.norm(impulse), np.round(point, 3).tolist()
-        self._panel.say(f"pushed **{data.name}** with {strength:.3g} N s at {place} m")
+        strength = np.linalg.norm(self.session.push(env, body, point, velocity))
+        self._panel.say(f"pushed **{data.name}** with {strength:.3g} N s at {np.round(point, 3).tolist()} m")
         self.choose(body, env)
 
     def _drag(self, phase: str, chosen: np.ndarray, index: Any, eye: Any, start: Any, end: Any) -> None:
@@ -439,7 +439,7 @@ class LiveViewer:
             self.session.move_pull(end - self._film.offset[self.session.pull_ends[0] - int(self.rows[0])])
             return
         eye = check_point("camera", eye)
-        row, body = self._picked(chosen, index, eye, end - eye)
+        row, body, _ = self._picked(chosen, index, eye, end - eye)
         data, offset = self.session.plan.scene.bodies[body], self._film.offset[row]
         if data.motion != Motion.DYNAMIC:
             raise ValueError(f"{data.name}: is {data.motion.name.lower()}; only dynamic bodies can be pulled")

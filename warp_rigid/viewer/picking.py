@@ -1,90 +1,44 @@
-"""Ray casting from the page to a body: sphere tracing in the signed distance of the body."""
-
-from collections.abc import Sequence
+"""Ray casting from the page to the drawn bodies."""
 
 import numpy as np
 
+from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.rotations import inverse, rotate
-from warp_rigid.scene.shapes.base import Shape
-
-MOST_STEPS = 200
-NEAR = 1.0e-3
-"""A point counts as on the surface within this part of the shape's size."""
-CAUTION = 0.9
-"""Part of the distance that a step goes: an interpolated distance may be a little too long."""
 
 
-def first_hit(
-    shapes: Sequence[Shape], position: np.ndarray, orientation: np.ndarray, origin: np.ndarray, direction: np.ndarray
-) -> tuple[int, np.ndarray] | None:
-    """The first body of finite size that a ray hits, and where; None if it hits none.
+def first_hit(film: Film, chosen: np.ndarray, origin: np.ndarray, direction: np.ndarray):
+    """The first of some instances that a ray hits in the first frame of a film, and where.
 
     Args:
-        shapes: of the bodies.
-        position: (bodies, 3) of the bodies [m].
-        orientation: (bodies, 4) of the bodies, quaternions (x, y, z, w).
+        film: the film.
+        chosen: indices of the instances.
         origin: (3,) where the ray starts [m].
-        direction: (3,) of the ray, any length.
-    """
-    ahead = np.asarray(direction, np.float64) / np.linalg.norm(direction)
-    bounds = np.array([np.asarray(shape.bounds) for shape in shapes])
-    finite = np.isfinite(bounds).all(axis=(1, 2))
-    bounds = np.where(finite[:, None, None], bounds, 0.0)
-    radius = 0.5 * np.linalg.norm(np.ptp(bounds, axis=1), axis=1)
-    middle = bounds.mean(axis=1)
-    away = rotate(orientation.astype(np.float64), middle) + position - origin
-    along = away @ ahead
-    near = finite & (np.linalg.norm(away - along[:, None] * ahead, axis=1) <= radius) & (along > -radius)
-    found, nearest = None, np.inf
-    for body in np.flatnonzero(near)[np.argsort((along - radius)[near])].tolist():
-        if along[body] - radius[body] > nearest:
-            break
-        point, hit = trace(shapes[body], position[body], orientation[body], origin, ahead)
-        distance = float((point - origin) @ ahead)
-        if hit and distance < nearest:
-            found, nearest = (body, point), distance
-    return found
-
-
-def trace(shape: Shape, position, orientation, origin, direction) -> tuple[np.ndarray, bool]:
-    """Follow a ray to a body's surface.
-
-    Args:
-        shape: of the body.
-        position: (3,) of the body [m].
-        orientation: (4,) of the body, quaternion (x, y, z, w).
-        origin: (3,) where the ray starts, in the world [m].
         direction: (3,) of the ray, any length.
 
     Returns:
-        The first point of the surface on the ray, in the world, and True; or the point of the ray nearest to the
-        surface, and False.
+        Index of the instance and point (3,) [m]; None if the ray hits none.
     """
-    orientation = np.asarray(orientation, np.float64)
-    back = inverse(orientation)
-    start = rotate(back, np.asarray(origin, np.float64) - position)
-    ahead = rotate(back, np.asarray(direction, np.float64) / np.linalg.norm(direction))
-    lower, upper = (np.clip(corner, -1.0e6, 1.0e6) for corner in shape.bounds)
-    tolerance = NEAR * min(shape.size, 1.0)
-    t, end = _through_box(start, ahead, lower - tolerance, upper + tolerance)
-    nearest, nearest_t = np.inf, t
-    for _ in range(MOST_STEPS):
-        distance = float(shape.signed_distance(start + t * ahead)[0][0])
+    ahead = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    position, orientation = film.position[0].astype(np.float64), film.orientation[0].astype(np.float64)
+    radius = np.array([np.linalg.norm(mesh.vertices, axis=1).max() for mesh in film.meshes])[film.mesh[chosen]]
+    away = position[chosen] - origin
+    near = np.linalg.norm(away - (away @ ahead)[:, None] * ahead, axis=1) <= radius
+    found, nearest = None, np.inf
+    for i in chosen[near & film.present[0, chosen]].tolist():
+        back = inverse(orientation[i])
+        distance = _distance(film.meshes[film.mesh[i]], rotate(back, origin - position[i]), rotate(back, ahead))
         if distance < nearest:
-            nearest, nearest_t = distance, t
-        if distance < tolerance or t > end:
-            break
-        t += max(CAUTION * distance, 0.5 * tolerance)
-    return rotate(orientation, start + nearest_t * ahead) + position, nearest < tolerance
+            found, nearest = (i, origin + distance * ahead), distance
+    return found
 
 
-def _through_box(start, ahead, lower, upper) -> tuple[float, float]:
-    """Where the ray enters and leaves a box; past its nearest approach to the middle where it misses."""
+def _distance(mesh: DrawnMesh, start: np.ndarray, ahead: np.ndarray) -> float:
+    """Distance along a ray to the first triangle, by Moeller and Trumbore [m]; infinite if it meets none."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
+    first, second, offset = b - a, c - a, start - a
+    across, turned = np.cross(ahead, second), np.cross(offset, first)
     with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (lower - start) / ahead, (upper - start) / ahead
-    enter = max(float(np.nanmax(np.minimum(one, other))), 0.0)
-    leave = float(np.nanmin(np.maximum(one, other)))
-    if leave >= enter:
-        return enter, leave
-    middle = max(float(np.dot(0.5 * (lower + upper) - start, ahead)), 0.0)
-    return middle, middle
+        u, v, t = np.stack(
+            [np.einsum("ij,ij->i", offset, across), turned @ ahead, np.einsum("ij,ij->i", second, turned)]
+        ) / np.einsum("ij,ij->i", first, across)
+    return float(t[(u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)].min(initial=np.inf))
