@@ -1,6 +1,7 @@
 """Reading triangle meshes from files."""
 
 import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -94,10 +95,10 @@ def _load_trimesh(path: Path) -> Triangles:
     meshes = [mesh for mesh in scene.dump() if hasattr(mesh, "faces")]
     images = [image_of(mesh.visual) for mesh in scene.geometry.values() if hasattr(mesh, "faces")]
     first = next((image for image in images if image is not None), None)
-    joined = _joined([_triangles_of(mesh) for mesh in meshes])._replace(image=first)
+    found = joined([_triangles_of(mesh) for mesh in meshes])._replace(image=first)
     if path.suffix.lower() in (".glb", ".gltf"):
-        joined = joined._replace(vertices=_turn_z_up(joined.vertices))
-    return joined
+        found = found._replace(vertices=_turn_z_up(found.vertices))
+    return found
 
 
 def _triangles_of(mesh: Any) -> Triangles:
@@ -115,7 +116,7 @@ def image_of(visual: Any) -> Any:
     return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
 
 
-def _joined(parts: list[Triangles]) -> Triangles:
+def joined(parts: Sequence[Triangles]) -> Triangles:
     """Several meshes as one."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts)])
     faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
@@ -149,11 +150,11 @@ def _load_usd(path: Path) -> Triangles:
             triangles = triangles[:, ::-1]
             uv = None if uv is None else uv[:, ::-1]
         parts.append(Triangles(points @ matrix[:3, :3] + matrix[3, :3], corners[triangles], uv))
-    joined = _joined(parts)
-    vertices = joined.vertices
+    found = joined(parts)
+    vertices = found.vertices
     if UsdGeom.StageHasAuthoredMetersPerUnit(stage):
         vertices = vertices * meters_per_unit(stage)
-    return joined._replace(vertices=_turn_z_up(vertices) if is_y_up(stage) else vertices)
+    return found._replace(vertices=_turn_z_up(vertices) if is_y_up(stage) else vertices)
 
 
 def _turn_z_up(vertices: np.ndarray) -> np.ndarray:

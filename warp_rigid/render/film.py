@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import one_of
+from warp_rigid.files.mesh_files import Triangles, joined
 from warp_rigid.render.appearance import (
     COLORINGS,
     body_colors,
@@ -209,16 +210,12 @@ def _meshes(recording: Recording, surfaces: Sequence[DrawnSurface]) -> tuple[tup
             times = recording.times[:, row]
             if times.tobytes() not in made:
                 made[times.tobytes()] = len(meshes)
-                meshes.append(_drawn(surface, times))
+                vertices = surface.vertices_at(times[0])
+                frames = tuple(surface.vertices_at(time) for time in times) if surface.moves else ()
+                normals = corner_normals(vertices, surface.faces)
+                meshes.append(DrawnMesh(vertices, surface.faces, normals, frames, surface.uv))
             mesh[row if surface.moves else slice(None), recording.surface == index] = made[times.tobytes()]
     return tuple(meshes), mesh
-
-
-def _drawn(surface: DrawnSurface, times: np.ndarray) -> DrawnMesh:
-    """Convert a surface to a mesh, with the vertices of each frame if its shape changes."""
-    vertices = surface.vertices_at(times[0])
-    frames = tuple(surface.vertices_at(time) for time in times) if surface.moves else ()
-    return DrawnMesh(vertices, surface.faces, corner_normals(vertices, surface.faces), frames, surface.uv)
 
 
 def film_from_usd(path) -> Film:
@@ -330,31 +327,27 @@ def _read_mesh(prim, frames) -> tuple[DrawnMesh, str | None]:
     from warp_rigid.usd.preview_surface import uv_and_image
     from warp_rigid.usd.prims import matrix_between, triangles_of
 
-    vertices, faces, count, moving = [], [], 0, {}
-    coordinates, image = [], None
+    parts, moving, image = [], {}, None
     for part in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
         if part.IsA(UsdGeom.Gprim) and UsdGeom.Imageable(part).ComputePurpose() != UsdGeom.Tokens.guide:
             matrix = matrix_between(UsdGeom.XformCache(), part, prim)
             points, triangles = triangles_of(part)
             attribute = part.GetAttribute("points")
             if attribute and attribute.ValueMightBeTimeVarying():
-                moving[len(vertices)] = _read(attribute, frames) @ matrix[:3, :3].T + matrix[:3, 3]
-            vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
-            faces.append(triangles + count)
-            count += len(points)
+                moving[len(parts)] = _read(attribute, frames) @ matrix[:3, :3].T + matrix[:3, 3]
             uv, found = uv_and_image(part)
-            coordinates.append(np.full((len(triangles), 3, 2), np.nan, np.float32) if uv is None else uv)
+            parts.append(Triangles(points @ matrix[:3, :3].T + matrix[:3, 3], triangles, uv))
             image = image or found
-    if not vertices:
+    if not parts:
         raise ValueError(f"{prim.GetPath()} has no geometry")
-    joined = np.concatenate(vertices).astype(np.float32)
-    corners = np.concatenate(faces).astype(np.int32)
+    vertices, faces, uv, _ = joined(parts)
+    vertices, faces = vertices.astype(np.float32), faces.astype(np.int32)
     shown = [
-        np.concatenate([moving[k][f] if k in moving else part for k, part in enumerate(vertices)]).astype(np.float32)
+        np.concatenate([moving[k][f] if k in moving else part.vertices for k, part in enumerate(parts)], dtype="f4")
         for f in range(len(frames) if moving else 0)
     ]
-    uv = np.concatenate(coordinates) if image else None
-    return DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown), uv), image
+    uv = None if uv is None else uv.astype(np.float32)
+    return DrawnMesh(vertices, faces, corner_normals(vertices, faces), tuple(shown), uv), image
 
 
 def _read_gloss(prim, count: int) -> np.ndarray:

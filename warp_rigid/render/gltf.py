@@ -69,16 +69,17 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
             index = int(recording.surface[body])
             weights = surfaces[index].weights_at(recording.times[:, row]).astype(np.float32)
             mesh = file.mesh(index, surfaces[index], colors[body], looks.get(body, MATT), weights[0])
-            node = file.node(env, name=name, mesh=mesh, translation=places[0].tolist(), rotation=turns[0].tolist())
+            scales = np.repeat(recording.active[:, row, body, None], 3, axis=1).astype(np.float32)
+            hides = bool((scales == 0.0).any())
+            pose = {"translation": places[0].tolist(), "rotation": turns[0].tolist()}
+            node = file.node(env, name=name, mesh=mesh, scale=scales[0].tolist() if hides else None, **pose)
             if (places != places[0]).any():
                 file.animate(node, "translation", time, file.numbers(places, "VEC3"))
             if (turns != turns[0]).any():
                 file.animate(node, "rotation", time, file.numbers(turns, "VEC4"))
             if surfaces[index].moves:
                 file.animate(node, "weights", time, file.numbers(weights.reshape(-1), "SCALAR"))
-            if not recording.active[:, row, body].all():
-                scales = np.repeat(recording.active[:, row, body, None], 3, axis=1).astype(np.float32)
-                file.scale(node, scales[0].tolist())
+            if hides:
                 file.animate(node, "scale", time, file.numbers(scales, "VEC3"), "STEP")
     with atomic_file(path) as temporary:
         file.save(temporary)
@@ -107,10 +108,6 @@ class _Assembly:
         if parent is not None:
             self._gltf.nodes[parent].children.append(index)
         return index
-
-    def scale(self, node: int, factors: list[float]) -> None:
-        """Scale a node at the start."""
-        self._gltf.nodes[node].scale = factors
 
     def numbers(self, values: np.ndarray, kind: str, bounds: bool = False, target: int | None = None) -> int:
         """Add an array; returns the index of its accessor."""

@@ -181,16 +181,10 @@ def blocked(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3, reac
 
 
 @wp.func
-def fraction(value: float) -> float:
-    """Fractional part."""
-    return value - wp.floor(value)
-
-
-@wp.func
 def disc_point(index: int) -> wp.vec2:
     """Point number `index` of evenly distributed points in the unit disc."""
-    radius = wp.sqrt(fraction(0.5 + float(index) * GOLDEN_X))
-    angle = 2.0 * wp.pi * fraction(0.5 + float(index) * GOLDEN_Y)
+    radius = wp.sqrt(wp.frac(0.5 + float(index) * GOLDEN_X))
+    angle = 2.0 * wp.pi * wp.frac(0.5 + float(index) * GOLDEN_Y)
     return radius * wp.vec2(wp.cos(angle), wp.sin(angle))
 
 
@@ -452,19 +446,14 @@ class RayCaster:
         inside = (local @ directions.T <= reach).all(axis=1).reshape(-1, 9)
         return inside[:, 0] & (inside[:, 1:].mean(axis=1) >= 0.5)
 
-    def _move_vertices(self, frame: int) -> None:
-        """Update the meshes that change their shape."""
+    def _place_instances(self, frame: int) -> None:
         for index, mesh in enumerate(self._film.meshes):
             if mesh.frames:
-                vertices = mesh.frames[frame]
-                self._meshes[index].points.assign(vertices)
+                self._meshes[index].points.assign(mesh.frames[frame])
                 self._meshes[index].refit()
                 first = int(self._first_face[index])
                 rows = self._instances.normals[first : first + len(mesh.faces)]
-                rows.assign(corner_normals(vertices, mesh.faces))
-
-    def _place_instances(self, frame: int) -> None:
-        self._move_vertices(frame)
+                rows.assign(corner_normals(mesh.frames[frame], mesh.faces))
         position, orientation = self._film.position[frame], self._film.orientation[frame]
         corners = rotate(orientation[:, None], self._corners) + position[:, None]
         with wp.ScopedDevice("cpu"):
