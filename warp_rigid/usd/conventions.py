@@ -35,6 +35,11 @@ def gf_quaternion(orientation) -> Gf.Quatf:
     return Gf.Quatf(w, x, y, z)
 
 
+def xyzw(quaternion) -> np.ndarray:
+    """Convert a USD quaternion to an array (x, y, z, w)."""
+    return np.array([*quaternion.GetImaginary(), quaternion.GetReal()], dtype=np.float64)
+
+
 def precise_quaternions(orientation) -> np.ndarray:
     """Unit quaternions (..., 4) in float64.
 
@@ -46,9 +51,8 @@ def precise_quaternions(orientation) -> np.ndarray:
 
 def quaternion_of_matrix(rotation: np.ndarray) -> np.ndarray:
     """Unit quaternion (x, y, z, w) of a rotation matrix with `matrix @ local = world`."""
-    real_first = Gf.Matrix3d(*np.asarray(rotation, dtype=np.float64).T.ravel().tolist()).ExtractRotation().GetQuat()
-    found = np.array([*real_first.GetImaginary(), real_first.GetReal()])
-    return found / np.linalg.norm(found)
+    matrix = Gf.Matrix3d(*np.asarray(rotation, dtype=np.float64).T.ravel().tolist())
+    return precise_quaternions(xyzw(matrix.ExtractRotation().GetQuat()))
 
 
 def transform(rotation: np.ndarray, position: np.ndarray | float = 0.0) -> np.ndarray:

@@ -26,8 +26,9 @@ from warp_rigid.scene.joints import (
 from warp_rigid.scene.joints.joint import local_frame, rotation_of_x_to, world_frame
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
-from warp_rigid.usd.conventions import MARK, custom_data, gf_quaternion, lineage, quaternion_of_matrix
+from warp_rigid.usd.conventions import MARK, custom_data, gf_quaternion, lineage, quaternion_of_matrix, xyzw
 from warp_rigid.usd.masses import SHARE, insert_links, positive, stated_center, states_no_mass, with_point_mass
+from warp_rigid.usd.prims import applies
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 from warp_rigid.usd.start_values import JointValues
 from warp_rigid.usd.usd_file import JOINT_KINDS, Types, UsdFile
@@ -42,6 +43,8 @@ POSSIBLE = {
 }
 """Which drives and resistances a kind of joint can have."""
 AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+MUJOCO_JOINT = "MjcJointAPI"
+"""Schema of the joints of a file that was converted from one of MuJoCo."""
 PARALLEL = 0.9999
 """Cosine from which on two axes count as parallel."""
 HALF_TURN = np.array([0.0, 1.0, 0.0, 0.0])
@@ -61,7 +64,9 @@ class JointReader:
         self._file, self._stage, self._scene = file, file.stage, scene
         self._parts: dict[str, str] = {}
         self._servos = read_servos(file)
-        self._in_degrees = _uses_degrees(self._stage)
+        angles = [prim.GetAttribute("mjc:compiler:angle").Get() for prim in self._stage.Traverse()]
+        # The file of MuJoCo from which a stage was converted states angles in degrees by default.
+        self._in_degrees = "radian" not in map(str, angles)
 
     def read(self) -> None:
         """Add all joints, in the order of their paths."""
@@ -78,7 +83,7 @@ class JointReader:
             if not description.jointEnabled:
                 self._file.leave_out(path, "the joint is disabled")
                 continue
-            ends = (str(description.rel0), str(description.rel1)) if _is_of_mujoco(prim) else (path, "")
+            ends = (str(description.rel0), str(description.rel1)) if applies(prim, MUJOCO_JOINT) else (path, "")
             series.setdefault(ends, []).append((prim, description))
         for joints in series.values():
             self._add_series(joints)
@@ -223,8 +228,7 @@ class JointReader:
         position, rotation, stretch = self._file.frame(target)
         local = np.array(prim.GetAttribute(f"physics:localPos{end}").Get() or (0, 0, 0), dtype=np.float64)
         given = prim.GetAttribute(f"physics:localRot{end}").Get() or Gf.Quatf(1.0)
-        orientation = np.array([*given.GetImaginary(), given.GetReal()], dtype=np.float64)
-        orientation = rotations.multiply(quaternion_of_matrix(rotation), orientation / np.linalg.norm(orientation))
+        orientation = rotations.multiply(quaternion_of_matrix(rotation), xyzw(given) / np.linalg.norm(xyzw(given)))
         return body, position + rotation @ (stretch @ local), orientation
 
     def _body(self, prim: Usd.Prim | None) -> int | None:
@@ -262,7 +266,7 @@ class JointReader:
         given = {math.inf if angle is None or angle < 0.0 else math.radians(angle) for angle in angles}
         if len(given) > 1:
             self._file.change(prim, "both cone angles are the smaller one")
-        if min(given) < math.inf and _is_of_mujoco(prim):
+        if min(given) < math.inf and applies(prim, MUJOCO_JOINT):
             self._file.change(prim, "its limit, which is one of all rotations, leaves those about its axis free")
         return SphericalJoint(None if min(given) == math.inf else min(given), AXES["X"])
 
@@ -338,11 +342,6 @@ class JointReader:
         return float(value) * (math.pi / 180.0 if self._in_degrees and kind == Types.RevoluteJoint else 1.0)
 
 
-def _is_of_mujoco(joint: Usd.Prim) -> bool:
-    """Whether a joint comes from a file of MuJoCo."""
-    return "MjcJointAPI" in joint.GetPrimTypeInfo().GetAppliedAPISchemas()
-
-
 def _fixed_pairs(found: dict[str, Any]) -> list[tuple[str, str]]:
     """Paths of the bodies that fixed joints hold to each other, in both orders."""
     pairs = [
@@ -351,12 +350,6 @@ def _fixed_pairs(found: dict[str, Any]) -> list[tuple[str, str]]:
         if description.type == Types.FixedJoint and description.jointEnabled
     ]
     return pairs + [pair[::-1] for pair in pairs]
-
-
-def _uses_degrees(stage: Usd.Stage) -> bool:
-    """Whether the file of MuJoCo from which a stage was converted states angles in degrees, as is its default."""
-    angles = (prim.GetAttribute("mjc:compiler:angle").Get() for prim in stage.Traverse())
-    return "radian" not in [str(angle) for angle in angles if angle is not None]
 
 
 def _authored(prim: Usd.Prim, name: str) -> float:
@@ -406,41 +399,33 @@ def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, values: JointVal
     set_attribute(prim, "physics:collisionEnabled", NAMES.Bool, entry.collide)
     if values.broken:
         set_attribute(prim, "physics:jointEnabled", NAMES.Bool, False)
-    set_attribute(prim, "physics:breakForce", NAMES.Float, numbers[JointNumber.BREAK_FORCE])
-    set_attribute(prim, "physics:breakTorque", NAMES.Float, numbers[JointNumber.BREAK_TORQUE])
-    _write_limits(prim, coordinate, numbers[JointNumber.LOWER], numbers[JointNumber.UPPER])
+    if coordinate not in (Coordinate.NONE, Coordinate.LENGTH):
+        set_attribute(prim, "physics:axis", NAMES.Token, "X", uniform=True)
     damping = numbers[JointNumber.DAMPING] if has_motor and not is_driven else 0.0
     own = {"friction": numbers[JointNumber.FRICTION], "damping": damping}
     if any(own.values()):
         prim.SetInfo("customData", {MARK: {name: value for name, value in own.items() if value > 0.0}})
-    if is_driven:
-        unit = math.pi / 180.0 if coordinate == Coordinate.ANGLE else 1.0
-        drive = {
-            "stiffness": numbers[JointNumber.STIFFNESS] * unit,
-            "damping": numbers[JointNumber.DAMPING] * unit,
-            "maxForce": numbers[JointNumber.MAX_FORCE],
-            "targetPosition": numbers[JointNumber.TARGET_POSITION] / unit,
-            "targetVelocity": numbers[JointNumber.TARGET_VELOCITY] / unit,
-        }
-        for name, value in drive.items():
-            set_attribute(prim, f"drive:{kind}:physics:{name}", NAMES.Float, value)
-
-
-def _write_limits(prim: Sdf.PrimSpec, coordinate: Coordinate, low: float, high: float) -> None:
-    """Write the axis and the limits of a joint."""
-    if coordinate == Coordinate.NONE:
-        return
-    if coordinate == Coordinate.LENGTH:
-        set_attribute(prim, "physics:minDistance", NAMES.Float, low if math.isfinite(low) else -1.0)
-        set_attribute(prim, "physics:maxDistance", NAMES.Float, high if math.isfinite(high) else -1.0)
-        return
-    set_attribute(prim, "physics:axis", NAMES.Token, "X", uniform=True)
-    if coordinate == Coordinate.CONE:
-        angle = math.degrees(high) if math.isfinite(high) else -1.0
-        for k in (0, 1):
-            set_attribute(prim, f"physics:coneAngle{k}Limit", NAMES.Float, angle)
-        return
     unit = math.pi / 180.0 if coordinate == Coordinate.ANGLE else 1.0
-    if math.isfinite(low) or math.isfinite(high):
-        set_attribute(prim, "physics:lowerLimit", NAMES.Float, low / unit)
-        set_attribute(prim, "physics:upperLimit", NAMES.Float, high / unit)
+    written = {"breakForce": numbers[JointNumber.BREAK_FORCE], "breakTorque": numbers[JointNumber.BREAK_TORQUE]}
+    written |= _limits(coordinate, numbers[JointNumber.LOWER] / unit, numbers[JointNumber.UPPER] / unit)
+    drive = {
+        "stiffness": numbers[JointNumber.STIFFNESS] * unit,
+        "damping": numbers[JointNumber.DAMPING] * unit,
+        "maxForce": numbers[JointNumber.MAX_FORCE],
+        "targetPosition": numbers[JointNumber.TARGET_POSITION] / unit,
+        "targetVelocity": numbers[JointNumber.TARGET_VELOCITY] / unit,
+    }
+    for space, values_of in (("physics", written), (f"drive:{kind}:physics", drive if is_driven else {})):
+        for name, value in values_of.items():
+            set_attribute(prim, f"{space}:{name}", NAMES.Float, value)
+
+
+def _limits(coordinate: Coordinate, low: float, high: float) -> dict[str, float]:
+    """The attributes with the limits of a joint, in units of the file but for the cone."""
+    least, most = (limit if math.isfinite(limit) else -1.0 for limit in (low, high))  # below 0 there is none
+    if coordinate == Coordinate.LENGTH:
+        return {"minDistance": least, "maxDistance": most}
+    if coordinate == Coordinate.CONE:
+        return dict.fromkeys(("coneAngle0Limit", "coneAngle1Limit"), math.degrees(most) if most >= 0.0 else most)
+    is_limited = coordinate != Coordinate.NONE and (math.isfinite(low) or math.isfinite(high))
+    return {"lowerLimit": low, "upperLimit": high} if is_limited else {}

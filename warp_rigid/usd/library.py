@@ -15,7 +15,7 @@ from warp_rigid.scene.look import Look
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
-from warp_rigid.usd.conventions import MARK, precise_quaternions
+from warp_rigid.usd.conventions import MARK, precise_quaternions, xyzw
 from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.materials import write_material
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_operations, set_relationship, vec3f
@@ -199,7 +199,9 @@ def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
 def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientation, time: float) -> Sdf.PrimSpec:
     """Write one collider at a time [s]; a shape for which USD has no schema is written as its triangles."""
     if isinstance(shape, Plane):
-        position, orientation = _frame_of_plane(shape)
+        # A USD plane is z = 0 in the frame of its prim.
+        turn = Gf.Rotation(Gf.Vec3d(0.0, 0.0, 1.0), Gf.Vec3d(*shape.normal.tolist())).GetQuat()
+        position, orientation = shape.offset * shape.normal, xyzw(turn)
     names = Sdf.ValueTypeNames
     prim = define(layer, path, "Mesh", ["PhysicsCollisionAPI", "MaterialBindingAPI"])
     primitive = _primitive(shape)
@@ -210,7 +212,12 @@ def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientatio
             type_name = names.Token if name == "axis" else names.Double
             set_attribute(prim, name, type_name, value, uniform=name == "axis")
     elif isinstance(shape, Mesh):
-        _write_solid(prim, shape)
+        # With the resolution of its signed distance grid.
+        _write_triangles(prim, shape, "NewtonSDFCollisionAPI")
+        rounded = -(-shape.sdf_resolution // SDF_BLOCK) * SDF_BLOCK
+        set_attribute(prim, "newton:sdfMaxResolution", names.Int, rounded, uniform=True)
+        uv = {} if shape.uv is None else {"uv": True}
+        prim.SetInfo("customData", {MARK: {"sdfResolution": shape.sdf_resolution, **uv}})
     else:
         _write_triangles(prim, shape)
         if isinstance(shape, Heightfield):
@@ -234,15 +241,6 @@ def _primitive(shape: Shape) -> tuple[str, np.ndarray, dict[str, Any]] | None:
     return None
 
 
-def _write_solid(prim: Sdf.PrimSpec, shape: Mesh) -> None:
-    """Triangles with the resolution of their signed distance grid."""
-    _write_triangles(prim, shape, "NewtonSDFCollisionAPI")
-    rounded = -(-shape.sdf_resolution // SDF_BLOCK) * SDF_BLOCK
-    set_attribute(prim, "newton:sdfMaxResolution", Sdf.ValueTypeNames.Int, rounded, uniform=True)
-    uv = {} if shape.uv is None else {"uv": True}
-    prim.SetInfo("customData", {MARK: {"sdfResolution": shape.sdf_resolution, **uv}})
-
-
 def _heightfield_data(shape: Heightfield, time: float) -> dict[str, Any]:
     """What tells a height field from a mesh, and its motion from a time on [s]."""
     rows, columns = shape.heights.shape
@@ -264,12 +262,6 @@ def _write_triangles(prim: Sdf.PrimSpec, shape: Shape, *apis: str) -> None:
     prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=schemas))
     write_mesh(prim, *shape.surface(), shape.surface_uv())
     set_attribute(prim, "physics:approximation", Sdf.ValueTypeNames.Token, "none", uniform=True)
-
-
-def _frame_of_plane(plane: Plane) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of a USD plane, which is z = 0 in the frame of its prim: position and quaternion."""
-    rotation = Gf.Rotation(Gf.Vec3d(0.0, 0.0, 1.0), Gf.Vec3d(*plane.normal.tolist())).GetQuat()
-    return plane.offset * plane.normal, np.array([*rotation.GetImaginary(), rotation.GetReal()])
 
 
 def write_pose(prim: Sdf.PrimSpec, position, orientation, scale=None) -> list[Sdf.AttributeSpec]:

@@ -18,7 +18,7 @@ from warp_rigid.scene.scene import Body, Scene
 from warp_rigid.scene.shapes import Compound, Shape
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
-from warp_rigid.usd.conventions import polar, transform
+from warp_rigid.usd.conventions import polar, transform, xyzw
 from warp_rigid.usd.prims import authored
 from warp_rigid.usd.usd_file import UsdFile
 
@@ -26,6 +26,8 @@ DEFAULT_DENSITY = 1000.0
 """Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
 TOLERANCE = 1e-3
 """Relative tolerance within which mass properties equal those of the shape."""
+MUJOCO_COLLIDER = "MjcCollisionAPI"
+"""Schema of the colliders of a file that was converted from one of MuJoCo."""
 SHARE = 1e-3
 """Share of a body's mass and moments of inertia that each body between two of its joints takes."""
 
@@ -141,16 +143,11 @@ def _tensor(file: UsdFile, prim: Usd.Prim) -> np.ndarray | None:
         file.change(prim, "moments of inertia: must be > 0; those of its shape are used")
         return None
     axes = api.GetPrincipalAxesAttr().Get()
-    orientation = np.array([*axes.GetImaginary(), axes.GetReal()] if axes else [0.0, 0.0, 0.0, 1.0], dtype=np.float64)
+    orientation = xyzw(axes) if axes else np.zeros(4)
     # The default of the schema is a quaternion of zeros.
     length = float(np.linalg.norm(orientation))
     matrix = rotations.matrix(orientation / length) if length > 0.0 else np.eye(3)
     return file.kilogram * file.meter**2 * matrix @ np.diag(moments) @ matrix.T
-
-
-def is_of_mujoco(collider: Usd.Prim) -> bool:
-    """Whether a collider comes from a file of MuJoCo."""
-    return "MjcCollisionAPI" in collider.GetPrimTypeInfo().GetAppliedAPISchemas()
 
 
 def states_no_mass(body: Usd.Prim) -> bool:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pxr import Sdf, Usd, UsdPhysics, UsdShade
 
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.usd.masses import is_of_mujoco, positive
-from warp_rigid.usd.prims import value_of
+from warp_rigid.usd.masses import MUJOCO_COLLIDER, positive
+from warp_rigid.usd.prims import applies, value_of
 from warp_rigid.usd.specs import define, set_attribute
 from warp_rigid.usd.usd_file import UsdFile
 
@@ -59,7 +59,7 @@ def read_material(file: UsdFile, prim: Usd.Prim) -> tuple[dict[str, float], floa
                 used = f"{value:g} of {first.GetName()} is used"
                 file.change(prim, f"{name}: {used}, not {other.Get():g} of {other.GetName()}")
         found[name] = value * file.meter**coefficient.length_power
-    if is_of_mujoco(prim):
+    if applies(prim, MUJOCO_COLLIDER):
         dimensions = value_of(prim, "mjc:condim", 3)
         found |= {name: 0.0 for name, least in MUJOCO_DIMENSIONS.items() if dimensions < least}
     return found, positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())

@@ -40,6 +40,11 @@ def authored(prim: Usd.Prim, name: str) -> Any:
     return attribute.Get() if attribute and attribute.HasAuthoredValue() else None
 
 
+def applies(prim: Usd.Prim, schema: str) -> bool:
+    """Whether a schema is applied to a prim, also where the schema is not installed."""
+    return schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+
+
 def custom_array(custom: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """An array of the custom data; one length of the shape may be -1.
 

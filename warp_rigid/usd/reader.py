@@ -20,8 +20,8 @@ from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.instancing import OF_ORIGIN
 from warp_rigid.usd.joint_prims import JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.masses import (
+    MUJOCO_COLLIDER,
     Collider,
-    is_of_mujoco,
     mass_of_colliders,
     mass_without_colliders,
     positive,
@@ -29,8 +29,8 @@ from warp_rigid.usd.masses import (
 )
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.preview_surface import read_look
-from warp_rigid.usd.prims import convert_prim, custom_array, matrix_between
-from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
+from warp_rigid.usd.prims import applies, convert_prim, custom_array, matrix_between
+from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, read_surface_motion
 from warp_rigid.usd.usd_file import COLLIDERS, JOINT_KINDS, Types, UsdFile
 
 EARTH_GRAVITY = 9.81
@@ -143,14 +143,14 @@ class Reader:
         """Report surfaces that run, but not on a static or kinematic body."""
         running = {str(body.prim.GetPath()) for body in bodies if body.motion != Motion.DYNAMIC}
         for prim in self._file.below:
-            if has_surface_motion(prim) and str(prim.GetPath()) not in running:
+            if applies(prim, SURFACE_SCHEMA) and str(prim.GetPath()) not in running:
                 self._file.leave_out(prim.GetPath(), "only the surface of a static or kinematic body can run")
 
     def _empty_scene(self) -> Scene:
         """Create a scene with gravity, combine modes, bounds and force fields."""
         file = self._file
         # MuJoCo takes the larger friction of two bodies.
-        of_mujoco = any(is_of_mujoco(file.stage.GetPrimAtPath(path)) for path in file.described(*COLLIDERS))
+        of_mujoco = any(applies(file.stage.GetPrimAtPath(path), MUJOCO_COLLIDER) for path in file.described(*COLLIDERS))
         usual: dict[str, Any] = {
             "gravity": (0.0, 0.0, -EARTH_GRAVITY),
             "friction_combine": "max" if of_mujoco else "min",
@@ -318,7 +318,7 @@ class Reader:
             if own_density is None:
                 own_density = positive(UsdPhysics.MassAPI(body.prim).GetDensityAttr()) or density
             mass = positive(mass_api.GetMassAttr()) if prim != body.prim else None
-            if mass is None and own_density is None and is_of_mujoco(prim):
+            if mass is None and own_density is None and applies(prim, MUJOCO_COLLIDER):
                 mass = 0.0  # Where USD has a default density, MuJoCo states that there is no mass.
         except ValueError as error:
             self._file.leave_out(prim.GetPath(), str(error))
@@ -341,7 +341,9 @@ class Reader:
     def _motion(self, body: _Body) -> PosePath | None:
         """The motion of an animated kinematic body; that of a static one is reported."""
         custom = custom_data(body.prim)  # of this package, which animates every body that moves
-        if body.motion == Motion.DYNAMIC or (custom and FOLLOWS_PATH not in custom) or not _is_animated(body.prim):
+        movable = filter(None, map(UsdGeom.Xformable, lineage(body.prim)))
+        is_animated = any(above.TransformMightBeTimeVarying() for above in movable)
+        if body.motion == Motion.DYNAMIC or (custom and FOLLOWS_PATH not in custom) or not is_animated:
             return None
         if body.motion == Motion.STATIC:
             self._file.change(body.prim, "its animated motion is ignored; it stays at the first pose of the animation")
@@ -353,11 +355,6 @@ class Reader:
         orientations = [quaternion_of_matrix(rotation) for _, rotation, _ in frames]
         times = (np.array(codes) - codes[0]) / self._file.stage.GetTimeCodesPerSecond()
         return PosePath(times, [position for position, _, _ in frames], orientations)
-
-
-def _is_animated(prim: Usd.Prim) -> bool:
-    """Whether the transform of a prim, or of one above it, changes with time."""
-    return any(movable.TransformMightBeTimeVarying() for movable in filter(None, map(UsdGeom.Xformable, lineage(prim))))
 
 
 def _joined(group: list[Collider], motion: Motion) -> tuple[Shape, np.ndarray, np.ndarray]:

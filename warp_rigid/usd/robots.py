@@ -241,12 +241,13 @@ def _add_masks(file: Path, masks: list[tuple[str, int, int]]) -> None:
     """
     from pxr import Usd, UsdPhysics
 
-    from warp_rigid.usd.masses import is_of_mujoco
+    from warp_rigid.usd.masses import MUJOCO_COLLIDER
     from warp_rigid.usd.opening import open_stage
+    from warp_rigid.usd.prims import applies
 
     stage = open_stage(file)
     prims = Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())
-    colliders = [prim for prim in prims if is_of_mujoco(prim)]
+    colliders = [prim for prim in prims if applies(prim, MUJOCO_COLLIDER)]
     names = [{prim.GetName(), prim.GetDisplayName()} for prim in colliders]
     if len(masks) != len(names) or any(mask[0] and mask[0] not in own for mask, own in zip(masks, names, strict=True)):
         raise ValueError("the converter writes other colliders")

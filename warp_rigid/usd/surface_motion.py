@@ -3,7 +3,7 @@
 import numpy as np
 from pxr import Gf, Sdf, Usd
 
-from warp_rigid.usd.prims import value_of
+from warp_rigid.usd.prims import applies, value_of
 from warp_rigid.usd.specs import set_attribute
 from warp_rigid.usd.usd_file import UsdFile
 
@@ -11,11 +11,6 @@ SURFACE_SCHEMA = "PhysxSurfaceVelocityAPI"
 PREFIX = "physxSurfaceVelocity:"
 LINEAR, ANGULAR = PREFIX + "surfaceVelocity", PREFIX + "surfaceAngularVelocity"
 ENABLED, LOCAL = PREFIX + "surfaceVelocityEnabled", PREFIX + "surfaceVelocityLocalSpace"
-
-
-def has_surface_motion(prim: Usd.Prim) -> bool:
-    """Whether the surface of a prim may run."""
-    return SURFACE_SCHEMA in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
 
 
 def read_surface_motion(
@@ -31,7 +26,7 @@ def read_surface_motion(
         place: position (3,) of the shape in that frame [m].
         turn: rotation (3, 3) of the shape in that frame.
     """
-    if not has_surface_motion(prim) or not value_of(prim, ENABLED, True):
+    if not applies(prim, SURFACE_SCHEMA) or not value_of(prim, ENABLED, True):
         return {}
     linear = np.array(value_of(prim, LINEAR, (0.0, 0.0, 0.0)), np.float64)
     angular = np.radians(np.array(value_of(prim, ANGULAR, (0.0, 0.0, 0.0)), np.float64))
