@@ -46,17 +46,23 @@ class CameraWriter:
         set_attribute(self._prim, "horizontalAperture", NAMES.Float, APERTURE)
         set_attribute(self._prim, "verticalAperture", NAMES.Float, height)
         set_attribute(self._prim, "focalLength", NAMES.Float, focal_length)
-        self._keep_text()
+        # What the camera does is custom data; its prim has only the place.
+        kept: dict[str, Any] = {"camera": str(self._camera)}
+        if isinstance(self._camera.body, int):
+            named = replace(self._camera, body=film.names[self._camera.body])
+            kept = {"camera": str(named), "cameraBody": self._camera.body}
+        self._prim.SetInfo("customData", {MARK: kept})
         self._samples = SampleWriter(layer)
         self._tracks = []
         if self._camera.body is not None:
-            place_prim(self._prim, *self._followed(frame))
+            position, self._reach = self._followed(frame)
+            place_prim(self._prim, position, self._camera)
             self._tracks = [self._samples.track(layer.GetAttributeAtPath(f"{path}.xformOp:transform"))]
 
     def sample(self, time: float, frame: Frame) -> None:
         """Move a camera that follows a body."""
         if self._tracks:
-            self._samples.put(self._tracks, time, [_matrix(*self._followed(frame))])
+            self._samples.put(self._tracks, time, [_matrix(self._followed(frame)[0], self._camera)])
 
     def place(self, lower: np.ndarray, upper: np.ndarray, offset: np.ndarray) -> None:
         """Place the camera, when the extent of the film is known.
@@ -68,7 +74,7 @@ class CameraWriter:
         """
         camera = shifted(self._camera, offset)
         if camera.body is not None:
-            _, reach = self._placed_at(0.0, self._film.position[0], self._film.orientation[0])
+            reach = self._reach
             shift = NAMES.Double3, Gf.Vec3d(*offset.tolist())
             set_operations(self._prim, {"translate": shift, "transform": (NAMES.Matrix4d, None)})
         elif camera.look_at is not None and camera.distance is not None:
@@ -83,21 +89,11 @@ class CameraWriter:
             place_prim(self._prim, eye, camera)
         set_attribute(self._prim, "clippingRange", NAMES.Float2, Gf.Vec2f(0.01 * reach, 1000.0 * reach))
 
-    def _followed(self, frame: Frame) -> tuple[np.ndarray, Camera]:
-        return self._placed_at(frame.times[self._row], frame.position, frame.orientation)[0], self._camera
-
-    def _placed_at(self, time: float, position: np.ndarray, orientation: np.ndarray) -> tuple[np.ndarray, float]:
-        body = int(self._camera.body or 0)
-        vertices = self._film.surfaces[self._film.surface[body]].vertices_at(time)
-        return place_at_body(self._camera, vertices, position[self._row, body], orientation[self._row, body])
-
-    def _keep_text(self) -> None:
-        """Keep what the camera does as custom data; its prim has only the place."""
-        body = self._camera.body
-        kept: dict[str, Any] = {"camera": str(self._camera)}
-        if isinstance(body, int):
-            kept = {"camera": str(replace(self._camera, body=self._film.names[body])), "cameraBody": body}
-        self._prim.SetInfo("customData", {MARK: kept})
+    def _followed(self, frame: Frame) -> tuple[np.ndarray, float]:
+        """Where the camera stands that follows a body: position (3,) and distance from the middle of the body [m]."""
+        body, row = int(self._camera.body or 0), self._row
+        vertices = self._film.surfaces[self._film.surface[body]].vertices_at(frame.times[row])
+        return place_at_body(self._camera, vertices, frame.position[row, body], frame.orientation[row, body])
 
 
 def read_camera(file: UsdFile, prim: Usd.Prim, middle: np.ndarray) -> Camera:

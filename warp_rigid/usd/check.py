@@ -45,19 +45,15 @@ def check_usd(path) -> list[UsdProblem]:
     stage = open_stage(path)
     with convert_errors(path):
         validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-        problems = [
-            UsdProblem(_site(error), str(error.GetName()), error.GetMessage())
-            for error in UsdValidation.ValidationContext(validators).Validate(stage)
-        ]
+        problems = []
+        for error in UsdValidation.ValidationContext(validators).Validate(stage):
+            sites = [site for site in error.GetSites() if site.IsPrim() or site.IsProperty()]
+            path = str((sites[0].GetPrim() or sites[0].GetProperty()).GetPath()) if sites else ""
+            problems.append(UsdProblem(path, str(error.GetName()), error.GetMessage()))
         for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
             for rule, check in RULES.items():
                 problems += [UsdProblem(str(prim.GetPath()), rule, text) for text in check(prim)]
         return problems
-
-
-def _site(error: UsdValidation.ValidationError) -> str:
-    sites = [site.GetPrim() or site.GetProperty() for site in error.GetSites() if site.IsPrim() or site.IsProperty()]
-    return str(sites[0].GetPath()) if sites else ""
 
 
 def _instancer(prim: Usd.Prim) -> list[str]:

@@ -338,19 +338,14 @@ def serve() -> None:
             os.write(writing, f" {refusal(request['path'], allow, request['bytes'])}".encode()[:4096])
             os._exit(0)
         os.close(writing)
-        if _has_hung_up(reading):
+        answered, _, _ = select.select([reading, sys.stdin.fileno()], [], [])
+        if reading not in answered:  # the process that asked has ended
             os.kill(worker, signal.SIGKILL)
             return
         with os.fdopen(reading, "rb") as stream:
             answer = stream.read().decode(errors="replace")
         status = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
         print(json.dumps(answer[1:] if answer else _how_it_ended(request, status)), flush=True)
-
-
-def _has_hung_up(reading: int) -> bool:
-    """Wait for an answer of the worker; whether the process that asked has ended before it came."""
-    ready, _, _ = select.select([reading, sys.stdin.fileno()], [], [])
-    return reading not in ready
 
 
 def _how_it_ended(request: dict[str, Any], status: int) -> str:

@@ -7,7 +7,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
 from warp_rigid.files.atomic import check_unread
 from warp_rigid.files.mesh_files import USD_SUFFIXES
-from warp_rigid.usd.conventions import MARK, polar
+from warp_rigid.usd.conventions import MARK, lineage, polar
 from warp_rigid.usd.examination import MAX_PRIMS
 from warp_rigid.usd.opening import convert_errors, open_stage
 from warp_rigid.usd.prims import matrix_between
@@ -145,7 +145,8 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
     prim, stage = instancer.GetPrim(), instancer.GetPrim().GetStage()
     layer = stage.GetEditTarget().GetLayer()
     prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
-    moments = [_transforms(instancer, time) for time in times]
+    poses_alone = UsdGeom.PointInstancer.ExcludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
+    moments = [instancer.ComputeInstanceTransformsAtTime(time, time, *poses_alone) for time in times]
     indices = _indices(instancer, times[0])
     if any(len(moment) != len(indices) for moment in moments):
         raise ValueError(f"{prim.GetPath()}: must have a constant number of instances and arrays of equal length")
@@ -181,13 +182,6 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
     return int(visible.sum())
 
 
-def _transforms(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode):
-    """Poses of all instances, without the transforms of the prototypes."""
-    return instancer.ComputeInstanceTransformsAtTime(
-        time, time, UsdGeom.PointInstancer.ExcludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
-    )
-
-
 def _set_matrix(spec: Sdf.PrimSpec, matrices: list[Gf.Matrix4d], times: list[Usd.TimeCode]) -> None:
     (attribute,) = set_operations(spec, {"transform": (NAMES.Matrix4d, matrices[0])})
     for time, matrix in zip(times, matrices, strict=True):
@@ -202,7 +196,8 @@ def _values(attribute: Usd.Attribute, time: Usd.TimeCode):
 
 def _set_velocities(root: Usd.Prim, time: Usd.TimeCode) -> None:
     """Give the rigid bodies in moving instances the velocities of their origins, in the frames of the bodies."""
-    while held := {_instance_above(body).GetPath() for body in _carried(root) if body.IsInstanceProxy()}:
+    while proxies := [body for body in _carried(root) if body.IsInstanceProxy()]:
+        held = {next(prim for prim in lineage(body) if not prim.IsInstanceProxy()).GetPath() for body in proxies}
         for path in held:  # Bodies within native instances have no velocities of their own.
             root.GetStage().GetPrimAtPath(path).SetInstanceable(False)
     places = UsdGeom.XformCache(time)
@@ -219,21 +214,13 @@ def _set_velocities(root: Usd.Prim, time: Usd.TimeCode) -> None:
 def _carried(root: Usd.Prim) -> list[Usd.Prim]:
     """The rigid bodies in moving instances below a prim."""
     prims = Usd.PrimRange(root, Usd.TraverseInstanceProxies())
-    return [prim for prim in prims if prim.HasAPI(UsdPhysics.RigidBodyAPI) and any(_instances_above(prim))]
+    return [prim for prim in prims if prim.HasAPI(UsdPhysics.RigidBodyAPI) and _instances_above(prim)]
 
 
-def _instances_above(prim: Usd.Prim):
+def _instances_above(prim: Usd.Prim) -> list[Usd.Prim]:
     """The moving instances that a prim belongs to, the innermost first."""
-    while prim := prim.GetParent():
-        if prim.HasAttribute(VELOCITY) or prim.HasAttribute(SPIN):
-            yield prim
-
-
-def _instance_above(prim: Usd.Prim) -> Usd.Prim:
-    """The native instance that holds a proxy."""
-    while prim.IsInstanceProxy():
-        prim = prim.GetParent()
-    return prim
+    above = lineage(prim.GetParent())
+    return [instance for instance in above if instance.HasAttribute(VELOCITY) or instance.HasAttribute(SPIN)]
 
 
 def _velocity_of(body: Usd.Prim, root: Usd.Prim, places: UsdGeom.XformCache) -> tuple[np.ndarray, np.ndarray]:
@@ -249,7 +236,7 @@ def _velocity_of(body: Usd.Prim, root: Usd.Prim, places: UsdGeom.XformCache) -> 
             else matrix_between(places, prim, root)
         )
 
-    instances, own = list(_instances_above(body)), frame(body)
+    instances, own = _instances_above(body), frame(body)
     rotation, api = polar(own[:3, :3])[0], UsdPhysics.RigidBodyAPI(body)
     linear, angular = np.zeros(3), np.zeros(3)
     for instance in instances:

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom
@@ -43,7 +44,9 @@ def write_override(recording: Recording, path: Path, row: int) -> None:
     start, rate = stage.GetStartTimeCode(), stage.GetTimeCodesPerSecond()
     times = start + np.arange(len(recording.position)) * (rate / recording.fps)
     cache = UsdGeom.XformCache(first_time(stage))
-    to_scene = _conversion(stage, cache, report.root)
+    root = stage.GetPrimAtPath(report.root or "/")
+    to_scene = transform(meters_per_unit(stage) * (FROM_Y_UP if is_y_up(stage) else np.eye(3)))
+    to_scene = to_scene @ np.linalg.inv(matrix_of(cache.GetLocalToWorldTransform(root)))
     layer = Sdf.Layer.CreateAnonymous(path.suffix)
     with Sdf.ChangeBlock():
         _copy_metadata(layer, stage, os.path.relpath(source, path.resolve().parent))
@@ -55,7 +58,12 @@ def write_override(recording: Recording, path: Path, row: int) -> None:
             world = matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(prim_path)))
             before = np.linalg.inv(first) @ to_scene @ world
             _animate(layer, prim_path, times, np.linalg.inv(to_scene) @ poses @ before)
-            _hide(layer, prim_path, times, recording.active[:, row, body])
+            active = recording.active[:, row, body]
+            if not active.all():  # otherwise its visibility stays as it is
+                shown = [VISIBILITY[int(now)] for now in active]
+                prim = layer.GetPrimAtPath(prim_path)
+                attribute = set_attribute(prim, "visibility", Sdf.ValueTypeNames.Token, shown[0])
+                _write_samples(attribute, times, shown)
     export_layer(layer, path)
 
 
@@ -66,13 +74,6 @@ def _copy_metadata(layer: Sdf.Layer, stage: Usd.Stage, source: str) -> None:
     layer.pseudoRoot.SetInfo("metersPerUnit", meters_per_unit(stage))
     layer.timeCodesPerSecond, layer.framesPerSecond = stage.GetTimeCodesPerSecond(), stage.GetFramesPerSecond()
     layer.defaultPrim = stage.GetRootLayer().defaultPrim
-
-
-def _conversion(stage: Usd.Stage, cache: UsdGeom.XformCache, root: str | None) -> np.ndarray:
-    """Matrix (4, 4) from points of the stage to points of the scene, `matrix @ point`."""
-    matrix = transform(meters_per_unit(stage) * (FROM_Y_UP if is_y_up(stage) else np.eye(3)))
-    above = np.eye(4) if root is None else matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(root)))
-    return matrix @ np.linalg.inv(above)
 
 
 def _pose(position, orientation) -> np.ndarray:
@@ -86,15 +87,9 @@ def _animate(layer: Sdf.Layer, path: str, times: np.ndarray, matrices: np.ndarra
     values = [Gf.Matrix4d(matrix.T.tolist()) for matrix in matrices]
     first = Sdf.ValueTypeNames.Matrix4d, values[0]
     (attribute,) = set_operations(prim, {"transform:warp_rigid": first}, reset=True)
+    _write_samples(attribute, times, values)
+
+
+def _write_samples(attribute: Sdf.AttributeSpec, times: np.ndarray, values: list[Any]) -> None:
     for time, value in zip(times.tolist(), values, strict=True):
-        layer.SetTimeSample(attribute.path, time, value)
-
-
-def _hide(layer: Sdf.Layer, path: str, times: np.ndarray, active: np.ndarray) -> None:
-    """Hide a prim while its body is switched off, and leave its visibility as it is if it never is."""
-    if active.all():
-        return
-    shown = [VISIBILITY[int(now)] for now in active]
-    attribute = set_attribute(layer.GetPrimAtPath(path), "visibility", Sdf.ValueTypeNames.Token, shown[0])
-    for time, value in zip(times.tolist(), shown, strict=True):
-        layer.SetTimeSample(attribute.path, time, value)
+        attribute.layer.SetTimeSample(attribute.path, time, value)

@@ -53,17 +53,10 @@ def fields_at_start(scene: Scene, start: Mapping[str, np.ndarray], row: int) -> 
     for k, field in enumerate(scene.force_fields):
         now = {name: start[PREFIX + name][row, k] for name in type(field).parameters()}
         own = field.values()
-        found.append(type(field)(**{name: _kept_of_field(own[name], now[name]) for name in now}))
+        found.append(type(field)(**{name: _kept(own[name], now[name]) for name in now}))
     return found
 
 
-def _kept_of_field(own: Any, now: np.ndarray) -> float | tuple[float, ...]:
-    """A number or vector of a field."""
-    if isinstance(own, tuple):
-        return tuple(_kept(*pair) for pair in zip(own, now, strict=True))
-    return _kept(own, now)
-
-
-def _kept(own: float, now: Any) -> float:
-    """The scene's value, of which the simulator has only single precision, or the one that was set since."""
-    return own if np.float32(own) == now else float(now)
+def _kept(own: Any, now: Any) -> Any:
+    """The scene's number or vector, of which the simulator has only single precision, or what was set since."""
+    return np.where(np.float32(own) == now, own, now).tolist()

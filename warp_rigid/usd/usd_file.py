@@ -1,6 +1,5 @@
 """A file that is read: its stage, units, axes and transforms, and what becomes of its prims in the scene."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,9 +77,11 @@ class UsdFile:
         self.to_z_up = FROM_Y_UP if is_y_up(self.stage) else np.eye(3)
         self.objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(self.stage, [str(self.root.GetPath())])
 
-    def described(self, *kinds: Any) -> dict[str, Any]:
-        """Descriptions of the objects of some kinds by their paths."""
-        return _described(self.objects, kinds)
+    def described(self, *kinds: Any, objects: dict | None = None) -> dict[str, Any]:
+        """Descriptions of the objects of some kinds by their paths, below the root or of others."""
+        found = self.objects if objects is None else objects
+        pairs = [zip(*found.get(kind, ([], [])), strict=True) for kind in kinds]
+        return {str(path): description for of_kind in pairs for path, description in of_kind}
 
     def physics_scenes(self) -> dict[str, Any]:
         """Descriptions of the physics scenes by their paths, below the root or else below the nearest prim above it."""
@@ -88,7 +89,7 @@ class UsdFile:
         while not found and not above.IsPseudoRoot():
             above = above.GetParent()
             objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(self.stage, [str(above.GetPath())])
-            found = _described(objects, [Types.Scene])
+            found = self.described(Types.Scene, objects=objects)
         return found
 
     def leave_out(self, path: Any, reason: str) -> None:
@@ -125,9 +126,3 @@ class UsdFile:
             stretch = np.eye(3)
         stretch = self.meter * np.round(stretch, 9)
         return self.to_z_up @ matrix[:3, 3] * self.meter, self.to_z_up @ rotation, stretch
-
-
-def _described(objects: dict, kinds: Sequence[Any]) -> dict[str, Any]:
-    """Descriptions of the objects of some kinds by their paths, of what the parser of UsdPhysics returns."""
-    found = [zip(*objects.get(kind, ([], [])), strict=True) for kind in kinds]
-    return {str(path): description for pairs in found for path, description in pairs}
