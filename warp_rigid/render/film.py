@@ -258,7 +258,13 @@ def _film_of_stage(stage) -> Film:
     motions = {motion.name.lower(): motion for motion in Motion}
     for index, group in groups:
         several = group.IsA(UsdGeom.PointInstancer)
-        drawn, image = _read_mesh(_prototype(group) if several else group, frames)
+        shown = group
+        if several:
+            targets = UsdGeom.PointInstancer(group).GetPrototypesRel().GetTargets()
+            shown = stage.GetPrimAtPath(targets[0]) if targets else None
+            if not shown or not shown.IsA(UsdGeom.Mesh):
+                raise ValueError(f"{group.GetPath()}: must have a mesh as its prototype")
+        drawn, image = _read_mesh(shown, frames)
         names = ("positions", "orientationsf") if several else ("xformOp:translate", "xformOp:orient")
         positions, turns = (_read(group.GetAttribute(name), frames) for name in names)
         colors = _read(UsdGeom.PrimvarsAPI(group).GetPrimvar("displayColor").GetAttr(), frames)
@@ -307,17 +313,6 @@ def _camera_of_stage(stage) -> Camera:
             camera = camera_of_text(str(custom["camera"]))
             return camera if camera.body is None else replace(camera, body=custom.get("cameraBody"))
     return Camera()
-
-
-def _prototype(instancer):
-    """The mesh of a PointInstancer."""
-    from pxr import UsdGeom
-
-    targets = UsdGeom.PointInstancer(instancer).GetPrototypesRel().GetTargets()
-    mesh = instancer.GetStage().GetPrimAtPath(targets[0]) if targets else None
-    if not mesh or not mesh.IsA(UsdGeom.Mesh):
-        raise ValueError(f"{instancer.GetPath()}: must have a mesh as its prototype")
-    return mesh
 
 
 def _read_mesh(prim, frames) -> tuple[DrawnMesh, str | None]:

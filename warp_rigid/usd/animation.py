@@ -56,6 +56,10 @@ class Instancers:
         self._groups: list[_Group] = []
         self._paths: dict[int, str] = {}
         self._colors = frame_colors(self._color, self._film, self._row, frame)
+        # Of mass, in the frames of the bodies; the origins in a recording from a file, which lacks the scene.
+        self._centers, scene = np.zeros((len(self._film.motion), 3)), self._film.scene
+        for body in np.flatnonzero(is_moving(self._film.motion)).tolist() if scene else ():
+            self._centers[body] = scene.bodies[body].shape.center_of_mass
         looks, layer = drawn_looks(self._film, self._color), self._samples.layer
         for name, bodies in _groups(self._film, looks).items():
             surface = self._film.surface[bodies[0]]
@@ -131,25 +135,16 @@ class Instancers:
             "extent": _extent(group),
             "primvars:displayColor": vec3f(self._colors[group.bodies]),
         }
-        if self._velocities:
-            values |= self._velocity_values(group, frame)
+        if self._velocities:  # of the origins of the instances [m/s], and angular ones [degree/s]
+            assert frame.angular_velocity is not None and frame.linear_velocity is not None
+            spin = frame.angular_velocity[self._row, group.bodies]
+            arm = rotate(group.orientation, self._centers[group.bodies])
+            values["velocities"] = vec3f(frame.linear_velocity[self._row, group.bodies] - np.cross(spin, arm))
+            values["angularVelocities"] = vec3f(spin * np.float32(math.degrees(1.0)))
         if self._hides:
             hidden = group.bodies[~frame.active[self._row, group.bodies]]
             values["invisibleIds"] = Vt.Int64Array.FromNumpy(hidden.astype(np.int64))
         return values
-
-    def _velocity_values(self, group: _Group, frame: Frame) -> dict:
-        """Linear velocities of the instance origins [m/s] and angular velocities [degree/s]."""
-        bodies = group.bodies
-        assert frame.angular_velocity is not None and frame.linear_velocity is not None
-        spin = frame.angular_velocity[self._row, bodies]
-        centers = np.array([_center(self._film, body) for body in bodies])
-        arm = rotate(group.orientation, centers)
-        speed = frame.linear_velocity[self._row, bodies] - np.cross(spin, arm)
-        return {
-            "velocities": vec3f(speed),
-            "angularVelocities": vec3f(spin * np.float32(math.degrees(1.0))),
-        }
 
 
 CONSTANT_COLORINGS = ("body", "environment")
@@ -173,13 +168,6 @@ def may_hide(film: Recording, row: int) -> bool:
     """Whether bodies of an environment may be off: in the recorded frames, or beyond the bounds of the scene."""
     removes = film.scene is not None and film.scene.bounds is not None and film.scene.out_of_bounds == "remove"
     return removes or not film.active[:, row].all()
-
-
-def _center(film: Recording, body: int) -> np.ndarray:
-    """Centre of mass of a body in its own frame; the origin for a recording from a file, which lacks the scene."""
-    if film.scene is None or not is_moving(film.motion[body]):
-        return np.zeros(3)
-    return film.scene.bodies[body].shape.center_of_mass
 
 
 def _groups(film: Recording, looks: dict[int, Look]) -> dict[str, np.ndarray]:

@@ -192,7 +192,7 @@ class JointReader:
             break_force=_limit(description.breakForce * force),
             break_torque=_limit(description.breakTorque * force * self._file.meter),
             collide=bool(description.collisionEnabled),
-            armature=self._armature(prim, description.type),
+            armature=_authored(prim, "newton:armature") * self._units(description.type)[2],
         )
         if not description.collisionEnabled:
             for side, path in ((first, description.rel0), (second, description.rel1)):
@@ -270,13 +270,6 @@ class JointReader:
             self._file.change(prim, "its limit, which is one of all rotations, leaves those about its axis free")
         return SphericalJoint(None if min(given) == math.inf else min(given), AXES["X"])
 
-    def _armature(self, prim: Usd.Prim, kind: Any) -> float:
-        """Armature of a joint by Newton's schema [kg m^2 or kg]."""
-        value = _authored(prim, "newton:armature")
-        if kind == Types.RevoluteJoint:
-            return value * self._file.kilogram * self._file.meter**2
-        return value * self._file.kilogram if kind == Types.PrismaticJoint else 0.0
-
     def _tell_losses(self, prim: Usd.Prim, kind: Any) -> None:
         """Report drives, limits and resistances that a file states for a joint whose kind cannot have them."""
         motors = [name for name in prim.GetAuthoredPropertyNames() if name.startswith(("drive:", "limit:"))]
@@ -285,18 +278,20 @@ class JointReader:
             if name not in POSSIBLE.get(kind, ()):
                 self._file.leave_out(prim.GetPath(), f"{name}: not supported for a {str(kind).rpartition('.')[2]}")
 
-    def _units(self, kind: Any) -> tuple[float, float]:
-        """Units of force or torque, and of the coordinate, of a joint in the file."""
-        angular = kind in (Types.RevoluteJoint, Types.SphericalJoint)
-        meter = self._file.meter
-        return self._file.kilogram * meter * (meter if angular else 1.0), math.pi / 180.0 if angular else meter
+    def _units(self, kind: Any) -> tuple[float, float, float]:
+        """Units of force or torque, of the coordinate, and of the armature of a joint in the file; of none 0."""
+        kilogram, meter = self._file.kilogram, self._file.meter
+        if kind == Types.PrismaticJoint:
+            return kilogram * meter, meter, kilogram
+        torque = kilogram * meter**2
+        return torque, math.pi / 180.0, torque if kind == Types.RevoluteJoint else 0.0
 
     def _add_drive(self, joint: int, prim: Usd.Prim, description: Any) -> None:
         """Add the drive or the damping of a joint, in SI units; damping alone is a drive without stiffness."""
         coordinate = self._scene.joints[joint].joint.coordinate
         if coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE, Coordinate.CONE):
             return
-        force, unit = self._units(description.type)
+        force, unit, _ = self._units(description.type)
         passive = float(custom_data(prim).get("damping", 0.0)) or _authored(prim, "newton:damping") * force / unit
         drive = getattr(description, "drive", None)
         if drive is None or not drive.enabled:

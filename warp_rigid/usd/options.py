@@ -55,10 +55,3 @@ class UsdOptions:
         if film.linear_velocity is None and (self.velocities or self.color == "speed"):
             option = "velocities" if self.velocities else "color"
             raise ValueError(f"{option}: requires recorded velocities; record them with velocities=True")
-
-    def chosen_profile(self, film: Recording, num_envs: int) -> str:
-        """The profile, with "auto" resolved."""
-        if self.profile != "auto":
-            return self.profile
-        small = num_envs * len(film.motion) <= MAX_SCENE_BODIES
-        return "scene" if small and film.scene is not None and not self.velocities else "animation"

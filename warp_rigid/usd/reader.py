@@ -71,6 +71,12 @@ class _Body:
     motion: Motion
     colliders: list[Usd.Prim] = field(default_factory=list)
 
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Keywords of `Scene.add_body` that the prim alone states."""
+        name, active = self.prim.GetDisplayName() or self.prim.GetName(), custom_data(self.prim).get("active", True)
+        return {"name": name, "active": active}
+
 
 class Reader:
     """Builds the scene that a file describes.
@@ -239,17 +245,11 @@ class Reader:
         if body.motion != Motion.DYNAMIC:
             self._file.leave_out(body.prim.GetPath(), reason)
             return
+        given = {"position": position, "orientation": quaternion_of_matrix(rotation), **body.keywords}
         try:
-            shape, mass = mass_without_colliders(self._file, body.prim, stretch)
-            index = self._scene.add_body(
-                shape,
-                mass=mass,
-                position=position,
-                orientation=quaternion_of_matrix(rotation),
-                name=body.prim.GetDisplayName() or body.prim.GetName(),
-                active=custom_data(body.prim).get("active", True),
-                **self._velocities(body.prim, rotation, shape.center_of_mass),
-            )
+            shape, given["mass"] = mass_without_colliders(self._file, body.prim, stretch)
+            given |= self._velocities(body.prim, rotation, shape.center_of_mass)
+            index = self._scene.add_body(shape, **given)
         except ValueError as error:
             self._file.massless[str(body.prim.GetPath())] = f"{reason}, {error}"
             return
@@ -265,8 +265,7 @@ class Reader:
         given: dict[str, Any] = {
             "position": position + rotation @ place_in_body,
             "orientation": quaternion_of_matrix(rotation @ turn),
-            "name": body.prim.GetDisplayName() or body.prim.GetName(),
-            "active": custom_data(body.prim).get("active", True),
+            **body.keywords,
             **group[0].coefficients,
         }
         if any(collider.coefficients != group[0].coefficients for collider in group):
@@ -360,12 +359,10 @@ class Reader:
 def _joined(group: list[Collider], motion: Motion) -> tuple[Shape, np.ndarray, np.ndarray]:
     """The common shape of some colliders, and its pose in the body frame."""
     first = group[0]
-    if len(group) > 1:
-        return Compound([(c.shape, c.position, c.orientation) for c in group]), np.zeros(3), np.array([0, 0, 0, 1.0])
     identity = not first.position.any() and abs(first.orientation[3]) > 1.0 - 1e-12
-    if identity or motion == Motion.STATIC:
+    if len(group) == 1 and (identity or motion == Motion.STATIC):
         return first.shape, first.position, first.orientation
-    return Compound([(first.shape, first.position, first.orientation)]), np.zeros(3), np.array([0, 0, 0, 1.0])
+    return Compound([(c.shape, c.position, c.orientation) for c in group]), np.zeros(3), np.array([0, 0, 0, 1.0])
 
 
 def _losses(prim: Usd.Prim, schemas: list[str]) -> list[str]:

@@ -139,7 +139,11 @@ class Bodies:
         if body.motion == Motion.KINEMATIC:
             set_attribute(prim, "physics:kinematicEnabled", NAMES.Bool, True)
         else:
-            _write_mass(prim, body, float(start["mass"][row, index]))
+            mass, (center, moments, axes) = float(start["mass"][row, index]), _principal(body.shape)
+            set_attribute(prim, "physics:mass", NAMES.Float, mass)
+            set_attribute(prim, "physics:centerOfMass", NAMES.Point3f, center)
+            set_attribute(prim, "physics:diagonalInertia", NAMES.Float3, vec3f([mass * moments])[0])
+            set_attribute(prim, "physics:principalAxes", NAMES.Quatf, axes)
         return prim
 
     def _assign(self, prim: Sdf.PrimSpec, geometry: Sdf.PrimSpec, body: Body, owner: str) -> None:
@@ -182,15 +186,6 @@ def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray,
     if scene.bounds is not None:
         rules |= {"bounds": Vt.DoubleArray(np.ravel(scene.bounds).tolist()), "outOfBounds": scene.out_of_bounds}
     prim.SetInfo("customData", {MARK: rules | fields_to_data(fields)})
-
-
-def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:
-    """Write mass, centre of mass and principal moments."""
-    center, moments, axes = _principal(body.shape)
-    set_attribute(prim, "physics:mass", NAMES.Float, mass)
-    set_attribute(prim, "physics:centerOfMass", NAMES.Point3f, center)
-    set_attribute(prim, "physics:diagonalInertia", NAMES.Float3, vec3f([mass * moments])[0])
-    set_attribute(prim, "physics:principalAxes", NAMES.Quatf, axes)
 
 
 @lru_cache(maxsize=256)

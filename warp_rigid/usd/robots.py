@@ -264,11 +264,19 @@ def _add_masks(file: Path, masks: list[tuple[str, int, int]]) -> None:
 
 
 def _packages(path: Path) -> dict[str, Path | None]:
-    """The packages that a URDF file names, and their folders; None for those that are not found."""
+    """The packages that a URDF file names, and their folders; None for those that are not found.
+
+    The folder of a package is around the file, the nearest first, or on ROS_PACKAGE_PATH.
+    """
     if path.suffix.lower() != ".urdf":
         return {}
-    names = dict.fromkeys(PACKAGE.findall(path.read_text(errors="replace")))
-    return {name: _package_folder(name, path) for name in names}
+    listed = filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep))
+    folders = (*path.absolute().parents, *map(Path, listed))
+    found: dict[str, Path | None] = {}
+    for name in PACKAGE.findall(path.read_text(errors="replace")):
+        candidates = (place for folder in folders for place in (folder, folder / name))
+        found[name] = next((place for place in candidates if place.name == name and place.is_dir()), None)
+    return found
 
 
 def _check_files(path: Path, packages: dict[str, Path | None], checked: set[Path]) -> None:
@@ -288,14 +296,6 @@ def _check_files(path: Path, packages: dict[str, Path | None], checked: set[Path
                 raise ValueError(f"{path}: {name}: must be a regular file")
             if found.suffix.lower() in CONVERTERS and found.is_file() and found not in checked:
                 _check_files(found, packages, checked)
-
-
-def _package_folder(name: str, path: Path) -> Path | None:
-    """The folder of a package: around a file, nearest first, or on ROS_PACKAGE_PATH; None if it is not found."""
-    listed = filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep))
-    folders = (*path.absolute().parents, *map(Path, listed))
-    candidates = (candidate for folder in folders for candidate in (folder, folder / name))
-    return next((candidate for candidate in candidates if candidate.name == name and candidate.is_dir()), None)
 
 
 def _main_file(path: Path, folder: str) -> Path:

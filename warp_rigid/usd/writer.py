@@ -17,7 +17,7 @@ from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.conventions import MARK
 from warp_rigid.usd.image_paths import ImagePaths
 from warp_rigid.usd.library import Library
-from warp_rigid.usd.options import UsdOptions
+from warp_rigid.usd.options import MAX_SCENE_BODIES, UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
 from warp_rigid.usd.specs import (
     SampleWriter,
@@ -70,7 +70,9 @@ class UsdWriter:
         inner = inner.with_suffix(".usdc") if self._is_package else inner
         self._suffix = ".usda" if path.suffix == ".usda" else ".usdc"
         self._parts = inner.parent / f"{inner.stem}_parts"
-        self._profile = options.chosen_profile(film, len(rows))
+        small = len(rows) * len(film.motion) <= MAX_SCENE_BODIES
+        best = "scene" if small and film.scene is not None and not options.velocities else "animation"
+        self._profile = best if options.profile == "auto" else options.profile
         self._spread = Spread(film)
         with self._writing():
             self._root = open_layer(inner)
