@@ -47,29 +47,24 @@ class Guard:
             request: a page's request, or the opening handshake of a WebSocket.
             local: address and port at which it arrived.
         """
+        address, port = local[:2]
+        names = {*self._names, address.partition("%")[0].lower()}
+        served = {_netloc(name, port) for name in names} | ({_netloc(name) for name in names} if port == 80 else set())
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
         # A page of another site whose name was made to resolve to this machine sends that name as Host.
-        if len(hosts) != 1 or hosts[0].lower() not in self._served(*local[:2]):
+        if len(hosts) != 1 or hosts[0].lower() not in served:
             return f"Host {_quote(hosts)} is not an address of this viewer"
         # Browsers send Origin with every WebSocket handshake; programs that are not browsers need not.
         if origins and [origin.lower() for origin in origins] != [f"http://{hosts[0].lower()}"]:
             return f"Origin {_quote(origins)} is not the viewer's own page"
-        if not self._has_token(request.path):
+        first = request.path.partition("?")[0].removeprefix("/").partition("/")[0]
+        if not secrets.compare_digest(first.encode("utf-8", "surrogateescape"), self.token.encode()):
             return "the address lacks the viewer's token"
         return None
 
     def strip_token(self, request: Request) -> Request:
         """The request as the server behind the guard expects it."""
         return Request("/" + request.path.removeprefix(f"/{self.token}").lstrip("/"), request.headers)
-
-    def _served(self, address: str, port: int) -> set[str]:
-        """All valid values of Host for a connection to an address of this machine."""
-        names = {*self._names, address.partition("%")[0].lower()}
-        return {_netloc(name, port) for name in names} | ({_netloc(name) for name in names} if port == 80 else set())
-
-    def _has_token(self, path: str) -> bool:
-        first = path.partition("?")[0].removeprefix("/").partition("/")[0]
-        return secrets.compare_digest(first.encode("utf-8", "surrogateescape"), self.token.encode())
 
 
 def is_loopback(host: str) -> bool:

@@ -160,10 +160,8 @@ class Instances:
 
 def creased(mesh: DrawnMesh) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) and faces (m, 3) with a vertex for each of its normals, so that creases stay sharp."""
-    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
-    rows = np.concatenate([corners, np.round(mesh.normals.reshape(-1, 3), 3)], axis=1)
-    unique, index = np.unique(rows, axis=0, return_inverse=True)
-    return unique[:, :3].astype(np.float32), index.reshape(-1, 3).astype(np.uint32)
+    rows, faces = _distinct(mesh.vertices[mesh.faces], mesh.normals)
+    return rows[:, :3].astype(np.float32), faces.astype(np.uint32)
 
 
 def textured_mesh(mesh: DrawnMesh, path: str, color: np.ndarray) -> bytes | None:
@@ -183,16 +181,18 @@ def textured_mesh(mesh: DrawnMesh, path: str, color: np.ndarray) -> bytes | None
     for chosen, look in ((has_uv, {"baseColorTexture": image}), (~has_uv, {"baseColorFactor": color})):
         if chosen.any():
             material = trimesh.visual.material.PBRMaterial(**look, metallicFactor=0.0, roughnessFactor=1.0)
-            scene.add_geometry(_corners_merged(mesh, chosen, material))
+            uv = np.nan_to_num(mesh.uv[chosen])
+            rows, faces = _distinct(mesh.vertices[mesh.faces[chosen]], mesh.normals[chosen], uv)
+            visual = trimesh.visual.TextureVisuals(uv=rows[:, 6:], material=material)
+            scene.add_geometry(trimesh.Trimesh(rows[:, :3], faces, visual=visual, process=False))
     return scene.export(file_type="glb")
 
 
-def _corners_merged(mesh: DrawnMesh, chosen: np.ndarray, material):
-    """Some triangles, with a vertex for each distinct set of place, normal and texture coordinates."""
-    corners = [mesh.vertices[mesh.faces[chosen]], np.round(mesh.normals[chosen], 3), np.nan_to_num(mesh.uv[chosen])]
-    rows, index = np.unique(np.concatenate(corners, axis=2).reshape(-1, 8), axis=0, return_inverse=True)
-    visual = trimesh.visual.TextureVisuals(uv=rows[:, 6:], material=material)
-    return trimesh.Trimesh(rows[:, :3], index.reshape(-1, 3), visual=visual, process=False)
+def _distinct(places: np.ndarray, normals: np.ndarray, *more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The distinct corners of triangles, of arrays (m, 3, ...), as rows, and the faces (m, 3) that consist of them."""
+    corners = np.concatenate([places, np.round(normals, 3), *more], axis=2)
+    rows, index = np.unique(corners.reshape(-1, corners.shape[2]), axis=0, return_inverse=True)
+    return rows, index.reshape(-1, 3)
 
 
 def bytes_of_light(color: np.ndarray) -> np.ndarray:

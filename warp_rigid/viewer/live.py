@@ -1,5 +1,6 @@
 """The live page: a session in the browser."""
 
+import io
 import logging
 import queue
 import tempfile
@@ -101,7 +102,9 @@ class LiveViewer:
             now = time.perf_counter()
             watched = bool(self._loaded.intersection(self.server.get_clients()))
             if watched and self._looping:
-                changed |= self._replay(now - last)
+                self._loop_time = (self._loop_time + (now - last) * self.session.speed) % max(self.history.length, 1e-9)
+                self._past = self.history.at(self.history.length - self._loop_time)
+                changed = True
             elif watched and self._attempt(self.session.advance, now - last, max(0.0, due - now)):
                 changed = True
                 self.history.add(self.session.time, self.session.sim)
@@ -258,11 +261,15 @@ class LiveViewer:
 
     def send_picture(self, client_id: int) -> None:
         """Let a page download its picture of the scene."""
+        from PIL import Image
+
         client = self.server.get_clients().get(client_id)
         if client is None:
             return
         picture = client.get_render(client.camera.image_height, client.camera.image_width, timeout=PICTURE_PATIENCE)
-        self._send(client_id, f"{self.session.plan.demo.name}.png", page.png_bytes(picture))
+        file = io.BytesIO()
+        Image.fromarray(picture).save(file, format="PNG")
+        self._send(client_id, f"{self.session.plan.demo.name}.png", file.getvalue())
 
     def _send(self, client_id: int, name: str, content: bytes) -> None:
         client = self.server.get_clients().get(client_id)
@@ -279,12 +286,6 @@ class LiveViewer:
             log.info("the page did not report that it was loaded: %s", error)
         self._loaded.add(client.client_id)
 
-    def _replay(self, wall: float) -> bool:
-        """Show the next moment of the loop."""
-        self._loop_time = (self._loop_time + wall * self.session.speed) % max(self.history.length, 1e-9)
-        self._past = self.history.at(self.history.length - self._loop_time)
-        return True
-
     def _return_to_present(self) -> None:
         """Continue from the moment that is shown, if it was chosen by the slider; a loop changes nothing."""
         if self._past is not None and not self._looping:
@@ -296,8 +297,8 @@ class LiveViewer:
     def _forget(self) -> None:
         """Remove the recorded seconds, for another scene or a restart."""
         self.history.moments.clear()
-        self._past, self._looping = None, False
-        self._panel.reset_time()
+        self._past = None
+        self._return_to_present()
 
     def _some_rows(self, first: int, count: int) -> np.ndarray:
         """Show a number of environments from one on, as far as they exist and the page can show them."""
@@ -469,7 +470,11 @@ class LiveViewer:
             if self._overlays.shown:
                 self._overlays.update(sim, rows, self._film.offset, self.chosen)
             self._slice.follow(position[self._chosen_instance], orientation[self._chosen_instance])
-            self._draw_rope()
+            ends = self.session.pull_ends
+            self._rope.visible = ends is not None
+            if ends is not None:
+                place = self._film.offset[ends[0] - int(rows[0])]
+                self._rope.points = np.array([[ends[1] + place, ends[2] + place]], np.float32)
             if self._film.camera.body is not None:
                 page.follow_with_pages(self.server, replace(self._film, **poses), 0)
             elif self.session.running or self._looping:
@@ -522,13 +527,6 @@ class LiveViewer:
         for name in ("body_a", "body_b"):
             touching[contacts["env"], contacts[name]] = True
         return touching[self.rows].reshape(-1) & self._film.dynamic
-
-    def _draw_rope(self) -> None:
-        ends = self.session.pull_ends
-        self._rope.visible = ends is not None
-        if ends is not None:
-            offset = self._film.offset[ends[0] - int(self.rows[0])]
-            self._rope.points = np.array([[ends[1] + offset, ends[2] + offset]], np.float32)
 
     def _count_update(self, changed: bool) -> None:
         """Measure the update rate and the simulation speed over half a second."""

@@ -73,7 +73,9 @@ class Overlays:
             chosen: environment and body whose clusters are drawn.
         """
         if self._size is None:
-            self._size = _typical_size(sim)
+            dynamic = [body.shape.bounds for body in sim.scene.bodies if body.motion == Motion.DYNAMIC]
+            # Lines and points scale with the longest edge of the median body.
+            self._size = float(np.median(np.ptp(dynamic, axis=1).max(axis=1))) if dynamic else 1.0
         draw = {
             BOXES: self._boxes,
             CELLS: self._cells,
@@ -234,9 +236,3 @@ def _near(sim: Simulator, env: int, body: int) -> np.ndarray:
     near = (lower <= upper[body]).all(axis=1) & (upper >= lower[body]).all(axis=1)
     near[body] = False
     return np.flatnonzero(near)
-
-
-def _typical_size(sim: Simulator) -> float:
-    """The median dynamic body's longest edge [m]; lines and points scale with it."""
-    sizes = [np.ptp(body.shape.bounds, axis=0).max() for body in sim.scene.bodies if body.motion == Motion.DYNAMIC]
-    return float(np.median(sizes)) if sizes else 1.0

@@ -1,7 +1,6 @@
 """Parts of all pages: the server, light, camera and labels."""
 
 import contextlib
-import io
 import math
 import threading
 import time
@@ -285,15 +284,6 @@ def keep_above_ground(client: viser.ClientHandle, heights: list[float]) -> None:
         if camera.position[2] < lowest - 1e-6:
             with contextlib.suppress(ValueError):
                 camera.position = (camera.position[0], camera.position[1], lowest)
-
-
-def png_bytes(picture: np.ndarray) -> bytes:
-    """A picture (height, width, 3) uint8 as the content of a PNG file."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, format="PNG")
-    return file.getvalue()
 
 
 def add_labels(server: viser.ViserServer, film: Film) -> list:

@@ -88,9 +88,9 @@ class Panel:
         known = dict.fromkeys((self._viewer.given, session.source, *scenes.names()))
         files = [source for source in known if source not in scenes.names()]
         self._options("scene", [*files, *scenes.names()], session.source)
-        self._options("variant", [*session.variants, CUSTOM], session.variant or CUSTOM)
-        self._summary.content = _summary(session)
-        for name in ("collision_iterations", "contact_iterations", "shock_iterations"):
+        self._options("variant", [*session.variants, CUSTOM], None)
+        self.show_variant(session)
+        for name in SLIDERS:
             self._set(name, int(sim.get(name)[env]))
         if sim.get("contact_iterations")[env] > 0:
             self._contact_iterations = int(sim.get("contact_iterations")[env])
