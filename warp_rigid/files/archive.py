@@ -71,7 +71,6 @@ def load(path: Any, kind: str, version: int) -> tuple[dict[str, Any], "Members"]
         arrays = Members(Path(path))
         if HEADER not in arrays:
             raise ValueError("another kind of file")
-        arrays.check_header()
         header = json.loads(arrays[HEADER].tobytes())
         if not isinstance(header, dict) or header.get("kind") != kind:
             raise ValueError("another kind of file")
@@ -94,20 +93,13 @@ class Members(Mapping[str, np.ndarray]):
     """
 
     def __init__(self, path: Path) -> None:
-        """Read the directory of the archive."""
+        """Read the directory of the archive, and check that its header is not too large for its size in the file."""
         if path.exists() and not path.is_file():
             raise ValueError("must be a regular file")  # a named pipe would be waited for without end
         self._archive, self._prefix = zipfile.ZipFile(path), ""
         self._left = [LEAST_BYTES + MOST_EXPANSION * sum(m.compress_size for m in self._archive.infolist())]
-
-    def check_header(self) -> None:
-        """Check that the header is not too large for its size in the file.
-
-        Raises:
-            ValueError: It is.
-        """
-        member = self._archive.getinfo(f"{HEADER}.npy")
-        if member.file_size > LEAST_HEADER + MOST_HEADER_EXPANSION * member.compress_size:
+        header = self._archive.NameToInfo.get(f"{HEADER}.npy")
+        if header is not None and header.file_size > LEAST_HEADER + MOST_HEADER_EXPANSION * header.compress_size:
             raise ValueError(f"{HEADER} is too large for the size of the file")
 
     def below(self, prefix: str) -> "Members":

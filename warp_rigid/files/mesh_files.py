@@ -92,22 +92,19 @@ def _load_trimesh(path: Path) -> Triangles:
 
     # Not as one mesh: trimesh would pack several images into one, and change the coordinates.
     scene: Any = trimesh.load_scene(path, process=False, resolver=RegularFiles(str(path)))
-    meshes = [mesh for mesh in scene.dump() if hasattr(mesh, "faces")]
+    parts = []
+    for mesh in scene.dump():
+        if hasattr(mesh, "faces"):
+            vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+            uv = getattr(mesh.visual, "uv", None)
+            uv = None if uv is None or len(uv) != len(vertices) else np.asarray(uv, np.float64)[faces]
+            parts.append(Triangles(vertices, faces, uv))
     images = [image_of(mesh.visual) for mesh in scene.geometry.values() if hasattr(mesh, "faces")]
     first = next((image for image in images if image is not None), None)
-    found = joined([_triangles_of(mesh) for mesh in meshes])._replace(image=first)
+    found = joined(parts)._replace(image=first)
     if path.suffix.lower() in (".glb", ".gltf"):
         found = found._replace(vertices=_turn_z_up(found.vertices))
     return found
-
-
-def _triangles_of(mesh: Any) -> Triangles:
-    """Those of a mesh of trimesh."""
-    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    uv = getattr(mesh.visual, "uv", None)
-    if uv is None or len(uv) != len(vertices):
-        return Triangles(vertices, faces)
-    return Triangles(vertices, faces, np.asarray(uv, np.float64)[faces])
 
 
 def image_of(visual: Any) -> Any:

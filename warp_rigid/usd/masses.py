@@ -189,8 +189,13 @@ def insert_links(scene: Scene, body: int, anchors: Sequence[np.ndarray], names: 
     given = scene.bodies[body]
     links = []
     for anchor, name in zip(anchors, names, strict=True):
-        mass, tensor = _part(scene.bodies[body], anchor)
-        scene.bodies[body] = with_point_mass(scene.bodies[body], anchor, -mass, -tensor)
+        now = scene.bodies[body]
+        tensor, arm = _inertia_of(now), np.asarray(anchor) - now.shape.center_of_mass
+        # A mass far outside a slender body must not take all of its smallest moment of inertia.
+        least = float(np.linalg.eigvalsh(tensor)[0])
+        mass = SHARE * min(now.mass, least / max(float(arm @ arm), 1e-30))
+        tensor = SHARE * tensor
+        scene.bodies[body] = with_point_mass(now, anchor, -mass, -tensor)
         links.append(
             scene.add_body(
                 Compound([], anchor, tensor / mass),
@@ -203,15 +208,6 @@ def insert_links(scene: Scene, body: int, anchors: Sequence[np.ndarray], names: 
             )
         )
     return links
-
-
-def _part(body: Body, point: np.ndarray) -> tuple[float, np.ndarray]:
-    """Mass [kg] and moments of inertia (3, 3) of a part of a body at a point of its frame."""
-    tensor, arm = _inertia_of(body), np.asarray(point) - body.shape.center_of_mass
-    least = float(np.linalg.eigvalsh(tensor)[0])
-    # A mass far outside a slender body must not take all of its smallest moment of inertia.
-    share = SHARE * min(1.0, least / (body.mass * max(float(arm @ arm), 1e-30)))
-    return share * body.mass, SHARE * tensor
 
 
 def _inertia_of(body: Body) -> np.ndarray:

@@ -44,7 +44,10 @@ def accept_checked_messages(server: viser.ViserServer, inputs: threading.RLock) 
         try:
             widget = gui._gui_input_handle_from_uuid.get(message.uuid)
             if widget is not None:
-                check_update(widget, message.updates)
+                # viser would set any attribute of the control.
+                if not isinstance(message.updates, dict) or set(message.updates) != {"value"}:
+                    raise ValueError(f"{widget.label}: only its value can be changed")
+                check_value(widget, message.updates["value"])
                 # Those who hold it do not wait for this thread.
                 with inputs:
                     await gui._handle_gui_updates(client_id, message)
@@ -90,17 +93,6 @@ def check_camera(message: _messages.ViewerCameraMessage) -> None:
     finite_vector("camera", (message.fov, message.near, message.far))
     for size in (message.image_height, message.image_width):
         number_in("image size", size, 1)
-
-
-def check_update(widget: Any, updates: Any) -> None:
-    """Refuse an update that is not a valid new value: viser would set any attribute of the control.
-
-    Raises:
-        ValueError: as check_value, or something else than the value is to change.
-    """
-    if not isinstance(updates, dict) or set(updates) != {"value"}:
-        raise ValueError(f"{widget.label}: only its value can be changed")
-    check_value(widget, updates["value"])
 
 
 def check_value(widget: Any, value: Any) -> None:
