@@ -13,7 +13,7 @@ from pxr import Sdf, Tf, Vt
 from warp_rigid.render.appearance import body_gloss, bound_corners, drawn_looks, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
 from warp_rigid.runs.drawn_surface import DrawnSurface
-from warp_rigid.runs.recording import Frame, Recording, is_moving
+from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.look import Look
 from warp_rigid.scene.scene import Motion
 from warp_rigid.usd.conventions import MARK
@@ -57,9 +57,10 @@ class Instancers:
         self._paths: dict[int, str] = {}
         self._colors = frame_colors(self._color, self._film, self._row, frame)
         # Of mass, in the frames of the bodies; the origins in a recording from a file, which lacks the scene.
-        self._centers, scene = np.zeros((len(self._film.motion), 3)), self._film.scene
-        for body in np.flatnonzero(is_moving(self._film.motion)).tolist() if scene else ():
-            self._centers[body] = scene.bodies[body].shape.center_of_mass
+        self._centers = np.zeros((len(self._film.motion), 3))
+        for index, body in enumerate(self._film.scene.bodies if self._film.scene else ()):
+            if body.motion != Motion.STATIC:
+                self._centers[index] = body.shape.center_of_mass
         looks, layer = drawn_looks(self._film, self._color), self._samples.layer
         for name, bodies in _groups(self._film, looks).items():
             surface = self._film.surface[bodies[0]]
