@@ -26,8 +26,8 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
     sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
     shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
-    sphere. A box against a mesh needs no edges of its own: to those of the mesh, the box is convex. The last segments of
-    a cylinder's side are needed against shapes without such edges and axes. The faces of nonconvex shapes are needed
+    sphere. Against a mesh, a box needs no edges of its own: to those of the mesh, it is convex. The last segments of a
+    cylinder's side are needed against shapes without such edges and axes. The faces of nonconvex shapes are needed
     against convex ones too: points on their unsampled edges slide, and axes of capsules find one contact a segment.
     """
     if kind == SampleKind.CORNER:
