@@ -37,7 +37,7 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     other = shapes.parts[shapes.shapes[shape].part_start].kind
     own = shapes.parts[shapes.shapes[own_shape].part_start].kind
     if shapes.shapes[shape].convex == 0:
-        by_mesh = has_triangles(shapes, shape) and own == PartKind.BOX and shapes.shapes[own_shape].convex == 1
+        by_mesh = has_triangles(shapes, shape) and is_box(own_shape, shapes)
         return kind != SampleKind.EDGE or (edges == 1 and not by_mesh)
     if kind == SampleKind.SIDE:
         return other == PartKind.CYLINDER
@@ -54,11 +54,29 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
 
 
 @wp.func
+def is_box(shape: int, shapes: Shapes):
+    """Whether a shape is one box."""
+    kind = shapes.parts[shapes.shapes[shape].part_start].kind
+    return shapes.shapes[shape].convex == 1 and kind == PartKind.BOX
+
+
+@wp.func
 def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
     """Whether a point is further than a margin from a shape's bounding box, a cheap bound of the distance."""
     below = shapes.shapes[shape].lower - p
     above = p - shapes.shapes[shape].upper
     return wp.max(wp.max(below), wp.max(above)) > margin
+
+
+@wp.func
+def is_over_face(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
+    """Whether a point is over a face of a shape's bounding box, further than a margin from the edges of this face."""
+    below = shapes.shapes[shape].lower - p
+    above = p - shapes.shapes[shape].upper
+    within = int(0)
+    for axis in range(3):
+        within += wp.where(wp.max(below[axis], above[axis]) < -margin, 1, 0)
+    return within >= 2
 
 
 @wp.func
@@ -134,4 +152,8 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
         margin += wp.length(slide)
     elif out_of_box(p, margin, approach.shape, shapes):
         return False
+    elif is_box(approach.shape, shapes) and out_of_box(p, approach.reach + sample.radius, approach.shape, shapes):
+        # Only across its edges is a box nearer to an unsampled edge than to the ends of it.
+        length = shapes.shapes[approach.own_shape].unsampled_length
+        return not is_over_face(p, length, approach.shape, shapes)
     return not has_triangles(shapes, approach.shape) or may_touch_mesh(p, margin - approach.searched, approach, shapes)

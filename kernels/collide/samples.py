@@ -233,7 +233,7 @@ def bring_to_touch(s: int, approach: wp.ref[Approach], weight: float, shapes: wp
             if slides and search.stage == SearchStage.DONE and search.distance < FAR:
                 search = begin_slides(search, weight)
         if slides and search.stage == SearchStage.DONE and search.last > 0.0:
-            search = next_slide(search, s, approach.turn, size, shapes)
+            search = next_slide(search, s, approach.turn, size, convex, shapes)
     return search
 
 

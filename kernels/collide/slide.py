@@ -2,7 +2,7 @@
 
 Convex edges that bend by less than 30 degrees, or are short, have no samples of their own. Where two of these cross,
 the meshes are nearer than at the samples around. A point near the crossing slides there: along that of its unsampled
-edges on which the distance is least, to where it is.
+edges on which the distance is least, to where it is. So does one near the crossing with a box, cylinder or capsule.
 """
 
 import warp as wp
@@ -54,7 +54,7 @@ def begin_slides(search: Search, weight: float):
 
 
 @wp.func
-def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shapes):
+def next_slide(search: Search, s: int, turn: wp.quat, size: float, convex: int, shapes: Shapes):
     """Slide along the edge of a point on which the distance falls most, after those before, if it may be less there."""
     steepest = float(0.0)
     edge = wp.vec3(0.0, 0.0, 0.0)
@@ -65,8 +65,8 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, shapes: Shape
             steepest = fall
             edge = along
     length = wp.length(edge)
-    # A little more than half; the sample at the other end covers the rest.
-    nearer = 0.75
+    # A little more than half; the sample at the other end covers the rest. On a mesh, there may be a kink before it.
+    nearer = wp.where(convex == 1, 0.505, 0.75)
     fall = nearer * steepest
     search.stage = SearchStage.DONE
     search.query = search.way
@@ -108,7 +108,7 @@ def may_fall_to(search: Search):
 
 @wp.func
 def slide_next(search: Search, d: wp.vec4, size: float, convex: int):
-    """The least distance on the nearer half of an edge; none if the distance falls further on."""
+    """The least distance on the nearer part of an edge; none if the distance falls further on."""
     if search.stage == SearchStage.SLIDE_END and slope(d, search.along) <= 0.0:
         return end_slide(search, convex)
     if d[3] < search.distance:
