@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import warp_rigid as wr
+from tests.geometry_oracles import cube
 from tests.oracles import rotation_matrix
 from tests.test_deep_starts import SHAPES
 from tests.test_rolling_floors import field, mesh
@@ -216,3 +218,32 @@ def test_a_rim_touches_a_floor_of_triangles_at_its_lowest_point(device, floor):
         assert deepest["depth"] == pytest.approx(depth, rel=1e-3)
         if np.abs(axis[env, 2]) < 0.999:
             assert np.linalg.norm((deepest["position"] - middle[env] - lowest[env])[:2]) < 1e-3 * radius
+
+
+CUBES = {"boxes": (False, False), "box and mesh": (False, True), "meshes": (True, True)}
+
+
+@pytest.mark.parametrize("kinds", CUBES)
+def test_crossed_edges_overlap_by_the_distance_of_their_lines(device, kinds):
+    """Edges of two cubes cross at random angles, each turned by 20 to 70 degrees about itself."""
+    count, half, depth = 200, 0.1, 1e-3
+    shapes = [wr.Mesh(*cube(half)) if mesh else wr.Box((half,) * 3) for mesh in CUBES[kinds]]
+    generator = np.random.default_rng(2)
+    lean, other_lean = np.radians(generator.uniform(20, 70, (2, count)))
+    turn = np.radians(generator.uniform(30, 150, count))
+    zero = np.zeros(count)
+    normal = np.column_stack([np.cos(lean), zero, np.sin(lean)])
+    along = np.column_stack([-np.sin(turn) * np.sin(lean), np.cos(turn), np.sin(turn) * np.cos(lean)])
+    aside = np.cross(along, normal)
+    first = -np.cos(other_lean)[:, None] * normal + np.sin(other_lean)[:, None] * aside
+    second = -np.sin(other_lean)[:, None] * normal - np.cos(other_lean)[:, None] * aside
+    scene = wr.Scene(gravity=(0, 0, 0))
+    for shape in shapes:
+        scene.add_body(shape)
+    sim = wr.Simulator(scene, count, device=device)
+    crossing = np.array([half, 0, half]) - depth * normal
+    middle = crossing - half * (first + second) + 0.2 * half * along
+    sim.set("position", middle[:, None], bodies=[1])
+    turns = Rotation.from_matrix(np.stack([first, second, np.cross(first, second)], axis=2)).as_quat()
+    sim.set("orientation", turns[:, None], bodies=[1])
+    np.testing.assert_allclose(depths_of_contacts(sim, count), depth, rtol=0.01)

@@ -14,6 +14,9 @@ ASIDE = wp.constant(0.01)
 """Offset from a crossing at which the gradients on both sides are evaluated, and from a doubtful point at which the
 distance is, as a fraction of the half-length."""
 
+MOST_BEYOND_FACES = wp.constant(3.0)
+"""Largest distance to a crossed edge over that to its faces: at most 1.4 at a right angle, more at acute ones."""
+
 FOUND = wp.constant(1.0e-4)
 """The search along an edge ends when the point moves by less than this fraction of the half-length."""
 
@@ -233,14 +236,13 @@ def look_beside(search: Search, t: float):
 def cross_faces(search: Search, before: wp.vec3, after: wp.vec3, rise: float, fall: float):
     """The contact normal where an edge crosses an edge, from the normals of the two faces that meet there.
 
-    The combination of the normals with zero slope along the crossing edge is perpendicular to both edges. If both faces
-    are at a distance d, the edge moving along this normal n leaves the shape through the face that it meets first,
-    after d / (g . n).
+    The combination a f + b g of the normals with zero slope along the crossing edge is perpendicular to both edges. At
+    the deepest point of this edge, both faces are at a distance d, so that the edges are (a + b) d apart.
     """
     mixture = rise * before + fall * after
-    if wp.length_sq(mixture) > 0.0:
-        n = wp.normalize(mixture)
-        search.direction = n
+    length = wp.length(mixture)
+    if length > 0.0:
+        search.direction = mixture / length
         if search.distance < 0.0:
-            search.distance /= wp.max(wp.max(wp.dot(before, n), wp.dot(after, n)), 0.3)
+            search.distance *= wp.min((rise + fall) / length, MOST_BEYOND_FACES)
     return search
