@@ -36,11 +36,11 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
         return shapes.shapes[shape].convex == 0
     other = shapes.parts[shapes.shapes[shape].part_start].kind
     own = shapes.parts[shapes.shapes[own_shape].part_start].kind
+    if kind == SampleKind.SIDE:
+        return wp.where(shapes.shapes[shape].convex == 1, other == PartKind.CYLINDER, not has_triangles(shapes, shape))
     if shapes.shapes[shape].convex == 0:
         by_mesh = has_triangles(shapes, shape) and is_box(own_shape, shapes)
         return kind != SampleKind.EDGE or (edges == 1 and not by_mesh)
-    if kind == SampleKind.SIDE:
-        return other == PartKind.CYLINDER
     if own == PartKind.HEIGHTFIELD:
         return True
     by_center = other == PartKind.SPHERE and shapes.shapes[own_shape].convex == 1

@@ -227,7 +227,7 @@ class Cylinder(Shape):
             collected.add(SampleKind.EDGE, radius * circle, circle, slide)
         half = 0.5 * (height - max(axis, 0.0))
         caps = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-        collected.add(SampleKind.SIDE, (height - half) * caps, caps, half * caps, radius)
+        collected.add(SampleKind.SIDE, (height - half) * caps, caps, half * caps, radius=radius)
         return collected
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
