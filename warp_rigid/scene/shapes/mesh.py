@@ -275,8 +275,8 @@ class Mesh(Shape):
         return float(np.ptp(self.vertices, axis=0).max()) / SAMPLES_PER_SIDE
 
     def sample_list(self) -> SampleList:
-        """Vertices, EDGE segments on sharp convex edges, and points on large triangles."""
-        return sample_mesh(self.vertices, self.faces, self.sample_spacing)
+        """Vertices, EDGE segments on sharp convex edges, and points on large triangles, with those of closed holes."""
+        return sample_mesh(self._solid_vertices, self._solid_faces, self.sample_spacing)
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """The repaired mesh itself, with its holes open."""

@@ -254,7 +254,7 @@ def _edges_of_points(unsampled, along, dip) -> dict[str, np.ndarray]:
 def bends(vertices, faces, edges, normals) -> tuple[np.ndarray, np.ndarray]:
     """Which edges are boundaries, or convex with more than 30 degrees between the faces, (e,); and that angle [rad].
 
-    The angle is 0 for boundaries and negative for concave edges.
+    The angle is that of a fold, pi, for boundaries, and negative for concave edges.
     """
     pairs, shared = topology.face_pairs(edges)
     first, second = normals[pairs[:, 0]], normals[pairs[:, 1]]
@@ -264,7 +264,7 @@ def bends(vertices, faces, edges, normals) -> tuple[np.ndarray, np.ndarray]:
     convex = np.einsum("ij,ij->i", across, first - second) < 0.0
     sharp = edges.count != 2
     sharp[shared] = convex & (cosine < np.cos(np.radians(FEATURE_DEGREES)))
-    bend = np.zeros(len(sharp))
+    bend = np.full(len(sharp), np.pi)
     bend[shared] = np.where(convex, 1.0, -1.0) * np.arccos(np.clip(cosine, -1.0, 1.0))
     return sharp, bend
 
