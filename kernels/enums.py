@@ -74,7 +74,7 @@ class SampleKind(IntEnum):
     ARC = 6
     """A piece of a circle; the contact point with a nonconvex shape is searched for along it."""
     SIDE = 7
-    """The last segment of a cylinder's axis, up to a cap; the contact point is searched for as along an edge."""
+    """The last segment of a cylinder's axis, searched as an edge."""
 
 
 class FieldKind(IntEnum):

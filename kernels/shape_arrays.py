@@ -99,7 +99,7 @@ ShapeRecord = record(
     ball_end=Field(int, "", "", "one past the last"),
     cell=Field(float, "", "m", "widest cell of the distance grids of its meshes; 0 without a mesh"),
     dip=Field(float, "", "m", "how much nearer than its samples its unsampled edges may come to others like them"),
-    unsampled_length=Field(float, "", "m", "length of its longest unsampled edge, or of a piece of it"),
+    unsampled_length=Field(float, "", "m", "longest piece of an unsampled edge"),
     rise=Field(float, "", "m/s", "largest speed of the surface relative to the body; 0 except for moving ground"),
 )
 
