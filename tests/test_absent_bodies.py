@@ -122,12 +122,12 @@ def test_a_camera_waits_for_the_first_body():
 
 def test_a_film_goes_on_until_the_last_body_appears_or_vanishes(recording):
     """The bodies are at rest all the time; AFTERMATH is 0.8 s."""
-    frames = 200
+    frames, time = 200, np.arange(200) / 60
     at_rest = {name: np.repeat(getattr(recording, name)[-1:], frames, axis=0) for name in CAPTURED}
     at_rest["active"][:100, :, BALL] = False
     at_rest["active"][100:, :, BALL] = True
     at_rest["position"][100:, :, BALL] += 0.5
-    film = film_from_recording(replace(recording, time=np.arange(frames) / 60, **at_rest))
+    film = film_from_recording(replace(recording, time=time, times=np.tile(time[:, None], (1, 1)), **at_rest))
     assert event_end(film) == 100 + 48
     gone = replace(film, present=film.present.copy())
     gone.present[120:] = False

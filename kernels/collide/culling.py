@@ -26,9 +26,10 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
     sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
     shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
-    sphere. Against a mesh, a box needs no edges of its own: to those of the mesh, it is convex. The last segments of a
-    cylinder's side are needed against shapes without such edges and axes. The faces of nonconvex shapes are needed
-    against convex ones too: points on their unsampled edges slide, and axes of capsules find one contact a segment.
+    sphere. Against a mesh with unsampled edges, a box needs none of its own: points slide along those of the mesh, to
+    which the box is convex. The last segments of a cylinder's side are needed against shapes without such edges and
+    axes. The faces of nonconvex shapes are needed against convex ones too: points on their unsampled edges slide, and
+    axes of capsules find one contact a segment.
     """
     if kind == SampleKind.CORNER:
         return has_places(shapes, shape)
@@ -39,7 +40,7 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     if kind == SampleKind.SIDE:
         return wp.where(shapes.shapes[shape].convex == 1, other == PartKind.CYLINDER, not has_triangles(shapes, shape))
     if shapes.shapes[shape].convex == 0:
-        by_mesh = has_triangles(shapes, shape) and is_box(own_shape, shapes)
+        by_mesh = is_box(own_shape, shapes) and has_triangles(shapes, shape) and shapes.shapes[shape].dip > 0.0
         return kind != SampleKind.EDGE or (edges == 1 and not by_mesh)
     if own == PartKind.HEIGHTFIELD:
         return True

@@ -43,6 +43,7 @@ class EdgeStage(IntEnum):
     HIGH = 2
     HALF = 3
     INSIDE = 4
+    INSIDE_AGAIN = 9
     LAST_INSIDE = 15
     CLAMPED = 16
     FACING = 17
@@ -74,9 +75,9 @@ def has_minimum(first: float, last: float, low: float, high: float, flat: float)
 
     From its slopes at the first and the last point, the distances there, and the slope that counts as flat.
     """
-    if (first < -flat and high > low) or (last > flat and low > high):
-        return True
-    return first <= flat and last >= -flat and last - first >= 2.0 * flat
+    falls = first <= flat or (last > flat and low > high)
+    rises = last >= -flat or (first < -flat and high > low)
+    return falls and rises and wp.abs(last - first) >= 2.0 * flat
 
 
 @wp.func
@@ -116,7 +117,8 @@ def edge_has_ends(search: Search):
         search.turning = -2.0 * flat
     elif wp.abs(search.slope_low) <= flat and not dips:
         search.turning = 2.0 * flat
-    search.stage = EdgeStage.INSIDE
+    # The distance to faces that the normal opposes is not continuous: a search of it that does not end soon finds none.
+    search.stage = wp.where(wp.length_sq(search.facing) == 0.0, EdgeStage.INSIDE, EdgeStage.INSIDE_AGAIN)
     return next_inside(search, False)
 
 
@@ -190,7 +192,8 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
         after.stage = search.stage + 1
         return after
     # The point belongs to the next segment, or lies past the end of the edge.
-    if wp.abs(before) > 1.01 * search.half:
+    # Where an edge leaves a face past its end, the distance at its end is not that of the face.
+    if wp.abs(before) > wp.where(search.turning == 0.0, 1.01, 1.001) * search.half:
         return nowhere(search)
     if wp.abs(before) > search.half:
         search.stage = EdgeStage.CLAMPED
@@ -233,7 +236,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         search = edge_has_ends(search)
         if search.stage == SearchStage.DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
             return edge_again(search)
-        if search.stage == EdgeStage.INSIDE and stays_above(search, reach + radius, convex):
+        if search.stage != SearchStage.DONE and stays_above(search, reach + radius, convex):
             return nowhere(search)
         return search
     if search.stage == EdgeStage.BEFORE:
