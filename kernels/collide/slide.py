@@ -65,8 +65,8 @@ def next_slide(search: Search, s: int, turn: wp.quat, size: float, convex: int, 
             steepest = fall
             edge = along
     length = wp.length(edge)
-    # A little more than half; the sample at the other end covers the rest. On a mesh, there may be a kink before it.
-    nearer = wp.where(convex == 1, 0.505, 0.75)
+    # The sample at the other end covers the rest, unless there is a kink before it. Only one end may be near a box.
+    nearer = wp.where(convex == 1, 1.0, 0.75)
     fall = nearer * steepest
     search.stage = SearchStage.DONE
     search.query = search.way
