@@ -191,8 +191,8 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
     if search.stage < EdgeStage.LAST_INSIDE and not found:
         after.stage = search.stage + 1
         return after
-    # The point belongs to the next segment, or lies past the end of the edge.
-    # Where an edge leaves a face past its end, the distance at its end is not that of the face.
+    # The point belongs to the next segment, or lies past the end of the edge, where the distance is not that of a face
+    # which the edge leaves.
     if wp.abs(before) > wp.where(search.turning == 0.0, 1.01, 1.001) * search.half:
         return nowhere(search)
     if wp.abs(before) > search.half:
@@ -232,7 +232,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
     if search.stage == EdgeStage.HALF:
         search = to_half(search, search.t, d)
     if search.stage == EdgeStage.HIGH or search.stage == EdgeStage.HALF:
-        deepest = wp.where(d[3] < search.low[3], d, search.low)
+        deepest = wp.where(search.high[3] < search.low[3], search.high, search.low)
         search = edge_has_ends(search)
         if search.stage == SearchStage.DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
             return edge_again(search)
