@@ -292,6 +292,21 @@ def test_a_heavy_box_that_falls_onto_a_tower_beside_a_heap_is_carried(device):
     assert np.abs(sim.get("position")[0, tower[:-1]] - placed).max() < 1e-3
 
 
+def test_boxes_that_land_on_each_other_stay_on_each_other(device):
+    """One iteration over the contacts of a pair per visit, or no shock propagation: 5 mm."""
+    scenes = []
+    for seed in range(9):
+        scene = ground_scene(friction=0.5)
+        for k, (x, y) in enumerate(np.random.default_rng(seed).uniform(-1e-3, 1e-3, (10, 2))):
+            density = 4000.0 if k == 9 else 1000.0
+            scene.add_body(Box((0.05,) * 3), position=(x, y, 0.35 + 0.12 * k), density=density)
+        scenes.append(scene)
+    sim = Simulator(scenes, settings=Settings(dt=DT), device=device)
+    start = sim.get("position")[:, 1:, :2]
+    sim.step(400)
+    assert np.median(np.abs(sim.get("position")[:, 1:, :2] - start).max(axis=(1, 2))) < 1.5e-3
+
+
 def test_a_pile_that_moves_gets_more_sweeps_instead_of_shock_propagation(device):
     """Two more sweeps for each body of depth: the same bits as with so many contact iterations to begin with."""
     scene = ground_scene()

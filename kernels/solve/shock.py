@@ -31,6 +31,7 @@ from warp_rigid.kernels.common.solver_body import (
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import solve_row
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
+from warp_rigid.kernels.graph.islands import is_pile
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import (
     Visited,
@@ -109,11 +110,12 @@ def add_load(b: int, pair: BodyPair, motions: Motions):
 
 
 @wp.func
-def iterations_of(entry: OrderRecord, graph: Graph):
+def iterations_of(entry: OrderRecord, motions: Motions, graph: Graph):
     """Maximum iterations over the rows of a constraint per visit."""
     several_a = entry.upper_a == 1 and graph.support_count[entry.body_a] > 1
     several_b = entry.upper_b == 1 and graph.support_count[entry.body_b] > 1
-    return wp.where(several_a or several_b, SHARED_ITERATIONS, PAIR_ITERATIONS)
+    few = several_a or several_b or is_pile(island_of(entry, motions, graph), graph)
+    return wp.where(few, SHARED_ITERATIONS, PAIR_ITERATIONS)
 
 
 @wp.func
@@ -131,7 +133,7 @@ def visit_frozen(
         pair = under_load(entry, pair, motions)
     changed = int(0)
     tolerance = CONVERGED * motions.velocity_unit[entry.body_a]
-    left = iterations_of(entry, graph)
+    left = iterations_of(entry, motions, graph)
     while left > 0:
         pair.change = 0.0
         for row in range(entry.begin, entry.end):
