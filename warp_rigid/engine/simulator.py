@@ -312,7 +312,7 @@ class Simulator:
 
     @guarded
     def despawn(self, bodies: Any, envs: Any = None) -> None:
-        """Switch bodies off, by index or name; bodies of a pool can then be spawned again.
+        """Switch bodies off, by index or name, or all with None; bodies of a pool can then be spawned again.
 
         Raises:
             ValueError: an environment has no such body.
@@ -357,8 +357,8 @@ class Simulator:
             envs: indices of the environments, or a mask, as for `set`; None for all.
 
         Raises:
-            ValueError: an environment has no such body, the body is static or kinematic, or a value has the wrong shape
-                or is not finite.
+            ValueError: an environment has no such body, the body is static, kinematic or switched off, or a value has
+                the wrong shape or is not finite.
         """
         quantities.apply_impulse(self._world, impulse, point, body, envs)
 
@@ -466,6 +466,7 @@ class Simulator:
         """Return the time that each stage of a step takes in the present state, which does not change [s].
 
         On a CPU it is processor time, which does not depend on other programs. An additional first step is not timed.
+        `stats` then describes the last timed step.
 
         Args:
             steps: number of steps to average over.
