@@ -293,18 +293,17 @@ def test_a_heavy_box_that_falls_onto_a_tower_beside_a_heap_is_carried(device):
 
 
 def test_boxes_that_land_on_each_other_stay_on_each_other(device):
-    """One iteration over the contacts of a pair per visit, or no shock propagation: 5 mm."""
+    """They shift by 0.4 mm in the median; with sweeps alone, by 3 mm."""
     scenes = []
     for seed in range(9):
         scene = ground_scene(friction=0.5)
         for k, (x, y) in enumerate(np.random.default_rng(seed).uniform(-1e-3, 1e-3, (10, 2))):
-            density = 4000.0 if k == 9 else 1000.0
-            scene.add_body(Box((0.05,) * 3), position=(x, y, 0.35 + 0.12 * k), density=density)
+            scene.add_body(Box((0.05,) * 3), position=(x, y, 0.35 + 0.12 * k))
         scenes.append(scene)
     sim = Simulator(scenes, settings=Settings(dt=DT), device=device)
     start = sim.get("position")[:, 1:, :2]
     sim.step(400)
-    assert np.median(np.abs(sim.get("position")[:, 1:, :2] - start).max(axis=(1, 2))) < 1.5e-3
+    assert np.median(np.abs(sim.get("position")[:, 1:, :2] - start).max(axis=(1, 2))) < 1e-3
 
 
 def test_a_pile_that_moves_gets_more_sweeps_instead_of_shock_propagation(device):
