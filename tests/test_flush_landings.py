@@ -7,7 +7,7 @@ import pytest
 
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.scene.joints.joint import RevoluteJoint
+from warp_rigid.scene.joints import RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Plane
 

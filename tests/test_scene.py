@@ -8,7 +8,7 @@ import pytest
 
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import PointField, UniformField
-from warp_rigid.scene.joints.joint import SphericalJoint
+from warp_rigid.scene.joints import SphericalJoint
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Sphere
 from warp_rigid.scene.shapes.base import Shape

@@ -12,7 +12,7 @@ from warp_rigid.engine.layout import spread_rows
 from warp_rigid.engine.selection import existing
 from warp_rigid.engine.world import World
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Motion
-from warp_rigid.scene.joints.joint import NUMBERS_OF_KIND, JointEntry
+from warp_rigid.scene.joints import NUMBERS_OF_KIND, JointEntry
 
 NUMBERS = {f"joint_{number.name.lower()}": number for number in JointNumber}
 WRITABLE = (*NUMBERS, "joint_broken")

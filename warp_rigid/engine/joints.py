@@ -12,7 +12,7 @@ from warp_rigid.kernels import declare
 from warp_rigid.kernels.common import team
 from warp_rigid.kernels.enums import JointNumber, SolverPart
 from warp_rigid.kernels.joints.arrays import Joints
-from warp_rigid.scene.joints.joint import Drive, JointEntry
+from warp_rigid.scene.joints import Drive, JointEntry
 from warp_rigid.scene.scene import Motion, Scene
 
 NAME = "joints"

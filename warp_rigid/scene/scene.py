@@ -30,7 +30,7 @@ from warp_rigid.kernels.enums import CombineRule, Coordinate, Motion
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coefficients, list_coefficients
 from warp_rigid.scene.fields import FIELDS, ForceField
-from warp_rigid.scene.joints.joint import Drive, Joint, JointEntry, JointFrame, place_joint
+from warp_rigid.scene.joints import Drive, Joint, JointEntry, JointFrame, place_joint
 from warp_rigid.scene.look import Look
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.shapes.base import Shape

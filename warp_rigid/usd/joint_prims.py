@@ -22,8 +22,10 @@ from warp_rigid.scene.joints import (
     PrismaticJoint,
     RevoluteJoint,
     SphericalJoint,
+    local_frame,
+    rotation_of_x_to,
+    world_frame,
 )
-from warp_rigid.scene.joints.joint import local_frame, rotation_of_x_to, world_frame
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.conventions import MARK, custom_data, gf_quaternion, lineage, quaternion_of_matrix, xyzw
