@@ -1,7 +1,9 @@
 """Section A: mass properties of solids, and signed distances of meshes."""
 
 import numpy as np
+import trimesh
 import warp as wp
+from trimesh.sample import sample_surface
 
 from warp_rigid.engine.layout import layout_of
 from warp_rigid.engine.model import build_model
@@ -329,14 +331,7 @@ def coverage(count):
     }
 
     def farthest(mesh):
-        triangles = mesh.vertices[mesh.faces]
-        side = triangles[:, 1:] - triangles[:, :1]
-        area = np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
-        draw = np.random.default_rng(5)
-        chosen = draw.choice(len(area), count, p=area / area.sum())
-        u, v = draw.random((2, count, 1))
-        u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-        points = triangles[chosen, 0] + u * side[chosen, 0] + v * side[chosen, 1]
+        points, _ = sample_surface(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), count, seed=5)
         return max(to_samples(mesh.samples(), part).max() for part in np.array_split(points, 40)) / mesh.sample_spacing
 
     def to_samples(samples, points):

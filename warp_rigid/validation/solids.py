@@ -14,19 +14,9 @@ def star_prism() -> Triangles:
     angle = np.pi * np.arange(count) / 5
     radius = np.where(np.arange(count) % 2 == 0, 1.0, 0.3)
     flat = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    vertices = np.concatenate(
-        [
-            np.column_stack([flat, np.full(count, -half)]),
-            np.column_stack([flat, np.full(count, half)]),
-            [[0.0, 0.0, -half], [0.0, 0.0, half]],
-        ]
-    )
-    faces = []
-    for i in range(count):
-        j = (i + 1) % count
-        faces += [[i, j, j + count], [i, j + count, i + count]]
-        faces += [[2 * count, j, i], [2 * count + 1, i + count, j + count]]
-    return vertices, np.array(faces)
+    rings = [np.column_stack([flat, np.full(count, z)]) for z in (-half, half)]
+    vertices = np.concatenate([*rings, [[0.0, 0.0, -half], [0.0, 0.0, half]]])
+    return vertices, np.concatenate(tessellation.capped_tube(2, count))
 
 
 def extrude(polygon, triangles, height) -> Triangles:
@@ -34,10 +24,7 @@ def extrude(polygon, triangles, height) -> Triangles:
     polygon, triangles = np.asarray(polygon, dtype=np.float64), np.asarray(triangles)
     count = len(polygon)
     vertices = np.concatenate([np.column_stack([polygon, np.full(count, z)]) for z in (0.0, height)])
-    walls = []
-    for i in range(count):
-        j = (i + 1) % count
-        walls += [[i, j, j + count], [i, j + count, i + count]]
+    _, walls, _ = tessellation.capped_tube(2, count)
     return vertices, np.concatenate([triangles[:, ::-1], triangles + count, walls])
 
 
