@@ -52,7 +52,7 @@ def _main(case: str, device: str) -> None:
 
     wp.config.log_level = wp.LOG_WARNING
     from warp_rigid.bench.cases import find_case
-    from warp_rigid.engine.loading import kernel_for
+    from warp_rigid.engine.loading import units_of
     from warp_rigid.engine.settings import Settings
     from warp_rigid.engine.simulator import Simulator
     from warp_rigid.engine.teams import sizes_of_teams
@@ -61,20 +61,10 @@ def _main(case: str, device: str) -> None:
     sim.step(4)
     wp.synchronize_device(sim.device)
     used = wp.get_device(device)
-    compiled = [kernel_for(kernel, used, lanes) for lanes in sizes_of_teams(used) for kernel in _kernels()]
-    loaded = {kernel.module.name for kernel in compiled if kernel.module.execs}
+    kernels = [module for name, module in sys.modules.items() if name.startswith("warp_rigid.kernels.")]
+    units = {unit for module in kernels for lanes in sizes_of_teams(used) for unit in units_of(module, used, lanes)}
+    loaded = [unit for unit in units if wp.get_module(unit).execs]
     print(json.dumps({"processor_seconds": time.process_time(), "modules": len(loaded)}))
-
-
-def _kernels() -> list:
-    """All kernels of the package."""
-    import warp as wp
-
-    import warp_rigid.kernels
-
-    folder = f"{warp_rigid.kernels.__name__}."
-    modules = [module for name, module in sys.modules.items() if name.startswith(folder)]
-    return [value for module in modules for value in vars(module).values() if isinstance(value, wp.Kernel)]
 
 
 if __name__ == "__main__":

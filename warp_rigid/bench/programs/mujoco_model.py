@@ -22,10 +22,11 @@ def build(problem: PeerProblem) -> tuple[mujoco.MjModel, str]:
     filling = inertial + geometry
     bodies = "".join(_free(problem, filling)) if not problem.hinges else _tree(problem, -1, filling)
     drives = "".join(_drive(k, hinge) for k, hinge in enumerate(problem.hinges))
+    integrator = "implicitfast" if problem.hinges else "Euler"  # the damping of drives is stiff
     solref = max(TIME_CONSTANT, 2.0 * problem.dt)
     text = f"""<mujoco>
       <compiler boundinertia="1e-6"/>
-      <option timestep="{problem.dt}" gravity="{_list(problem.gravity)}" integrator="{_integrator(problem)}">
+      <option timestep="{problem.dt}" gravity="{_list(problem.gravity)}" integrator="{integrator}">
         <flag multiccd="enable"/></option>
       <size memory="1G"/>
       <default><geom friction="{problem.friction} 0.005 0.0001" condim="3" solref="{solref} 1"/></default>
@@ -69,11 +70,6 @@ def _final_of_tree(
             mujoco.mj_objectVelocity(model, state, mujoco.mjtObj.mjOBJ_BODY, body + 1, speed, 0)
             velocities[env, body] = speed[3:]
     return poses[..., :3], poses[..., [4, 5, 6, 3]], velocities
-
-
-def _integrator(problem: PeerProblem) -> str:
-    """The drives' damping is stiff and must be implicit."""
-    return "implicitfast" if problem.hinges else "Euler"
 
 
 def _free(problem: PeerProblem, filling: str) -> list[str]:
