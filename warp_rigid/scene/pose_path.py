@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import LARGEST, brief, numbers_of, shown
-from warp_rigid.rotations import continuous_signs, inverse, multiply
+from warp_rigid.rotations import about_axis, continuous_signs, inverse, multiply
 
 SAME_PLACE, SAME_ORIENTATION = 1e-6, 1e-6
 """Distance [m] and angle [rad] of the first and the last pose of a path that is repeated."""
@@ -107,12 +107,9 @@ class PosePath:
 
 def _interpolated(start: np.ndarray, end: np.ndarray, fraction: float) -> np.ndarray:
     """The orientation at a fraction of the way from one to another."""
-    rotation = multiply(end, inverse(start))
-    sine = np.linalg.norm(rotation[:3])
-    if sine == 0.0:
-        return start.copy()
-    half = fraction * np.arctan2(sine, rotation[3])
-    return multiply(np.array([*(np.sin(half) / sine * rotation[:3]), np.cos(half)]), start)
+    turn = _turn(start, end)
+    angle = np.linalg.norm(turn)
+    return multiply(about_axis(turn, fraction * angle), start) if angle else start.copy()
 
 
 def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:

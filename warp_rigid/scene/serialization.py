@@ -109,10 +109,8 @@ def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
 
 def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     """Add a body with all checks, and keep its orientation unscaled, bit for bit."""
-    add: Any = {
-        Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
-    }[Motion[entry["motion"]]]  # fmt: skip
     motion = Motion[entry["motion"]]
+    add = scene.add_body if motion == Motion.DYNAMIC else getattr(scene, f"add_{motion.name.lower()}")
     given = {name: entry[name] for name in ("position", "orientation", "name", "active")}
     # Older files have fewer coefficients, and no surfaces that run.
     given |= {name: entry[name] for name in COEFFICIENTS if name in entry}
