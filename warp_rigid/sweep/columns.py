@@ -3,7 +3,8 @@
 from typing import Any
 
 from warp_rigid.checks import shown
-from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.kernels.declare import LAYOUTS
+from warp_rigid.runs.assignments import BODY_PROPERTIES
 
 FINISHED = ("ok", "out of bounds")
 """Statuses of a completed run. A run continues when bodies leave the bounds."""
@@ -23,22 +24,17 @@ METADATA_TYPES: dict[str, type] = {
 REQUIRED_COLUMNS = {"run": int, "id": str, "seed": int, "status": str}
 """Required columns and their types."""
 
+OF_BODIES = LAYOUTS["Bodies"] | LAYOUTS["State"]
+"""Declarations of all quantities of bodies on the device."""
+
 UNITS = {
     "dt": "s",
     "duration": "s",
     "time": "s",
     "wall_time": "s",
-    "mass": "kg",
-    "position": "m",
-    "linear_velocity": "m/s",
-    "angular_velocity": "rad/s",
-    "surface_velocity": "m/s",
-    "surface_angular_velocity": "rad/s",
+    **{name: field.unit for name, field in OF_BODIES.items() if name in BODY_PROPERTIES and field.unit},
     "final_position": "m",
-    "force": "N",
-    "torque": "N m",
     "gravity": "m/s^2",
-    **{name: coefficient.unit for name, coefficient in COEFFICIENTS.items() if coefficient.unit},
     "field_acceleration": "m/s^2",
     "field_center": "m",
     "field_strength": "m^3/s^2",
