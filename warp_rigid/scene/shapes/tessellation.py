@@ -1,5 +1,7 @@
 """Triangles for drawing: closed, outward-facing surfaces of the simple solids."""
 
+from itertools import combinations
+
 import numpy as np
 
 
@@ -28,14 +30,8 @@ def hull_triangles(vertices: np.ndarray) -> np.ndarray:
     gaps = np.linalg.norm(vertices[:, None] - vertices[None], axis=-1)
     shortest = gaps[gaps > 1e-9].min()
     near = (gaps > 1e-9) & (gaps < 1.001 * shortest)
-    count = len(vertices)
-    triangles = [
-        (i, j, k)
-        for i in range(count)
-        for j in range(i + 1, count)
-        for k in range(j + 1, count)
-        if near[i, j] and near[j, k] and near[i, k]
-    ]
+    corners = combinations(range(len(vertices)), 3)
+    triangles = [(i, j, k) for i, j, k in corners if near[i, j] and near[j, k] and near[i, k]]
     faces = np.array(triangles, dtype=np.int32)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
