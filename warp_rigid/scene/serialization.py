@@ -37,7 +37,8 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
             for name in ("position", "orientation", *VELOCITIES, "mass", "active", *COEFFICIENTS, *SURFACE_VELOCITIES)
         }
         if body.path is not None:
-            numbers["path"] = _path_data(body.path)
+            names = ("times", "positions", "orientations", "loop")
+            numbers["path"] = {name: np.asarray(getattr(body.path, name)).tolist() for name in names}
         shape = _place_shape(body.shape, shapes, arrays, places)
         bodies.append({"shape": shape, "motion": body.motion.name, "name": body.name, **numbers})
     return {
@@ -87,12 +88,6 @@ def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
     for entry in data.get("joints", []):  # older files have none
         _add_joint(scene, entry)
     return scene
-
-
-def _path_data(path: PosePath) -> dict[str, Any]:
-    """A path as plain data."""
-    names = ("times", "positions", "orientations")
-    return {**{name: getattr(path, name).tolist() for name in names}, "loop": path.loop}
 
 
 def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
