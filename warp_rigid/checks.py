@@ -198,6 +198,13 @@ def one_of(name, value, choices):
     return value
 
 
+def instance_of(name, value, kind, words):
+    """Check that a value is of a type, which `words` describe, and return it; else raise ValueError."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name}: must be {words}, got {shown(value)}")
+    return value
+
+
 def suggestion(value, names, where=""):
     """Format the end of a message about an unknown name: the names that resemble it, and where all names are.
 

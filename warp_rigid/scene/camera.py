@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from warp_rigid.checks import MOST_LISTED, finite_vector, number_in, shown, suggestion
+from warp_rigid.checks import MOST_LISTED, finite_vector, instance_of, number_in, shown, suggestion
 
 AZIMUTH, ELEVATION = -67.0, 22.0
 """Direction from which bodies are seen by default [degree]."""
@@ -155,17 +155,14 @@ def with_body_index(camera: Any, names: Sequence[str]) -> Camera:
     Raises:
         ValueError: It is no camera, or there is no such body.
     """
-    if not isinstance(camera, Camera):
-        raise ValueError(f"camera: must be a Camera, got {shown(camera)}")
+    instance_of("camera", camera, Camera, "a Camera")
     if camera.body is None or (isinstance(camera.body, int) and camera.body < len(names)):
         return camera
     if camera.body in names:
         return replace(camera, body=list(names).index(str(camera.body)))
     if isinstance(camera.body, str) and camera.body.isdigit() and int(camera.body) < len(names):
         return replace(camera, body=int(camera.body))
-    near = (
-        suggestion(camera.body, names) if len(names) <= MOST_LISTED else suggestion(camera.body, names, "scene.bodies")
-    )
+    near = suggestion(camera.body, names, "scene.bodies" if len(names) > MOST_LISTED else "")
     raise ValueError(f"camera: there is no body {shown(camera.body)} to follow{near}")
 
 

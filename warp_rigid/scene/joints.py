@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, finite_vector, number_in, numbers_of, shown, unit_quaternion
+from warp_rigid.checks import LARGEST, finite_vector, instance_of, number_in, numbers_of, shown, unit_quaternion
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Motion
 
 Vector3 = tuple[float, float, float]
@@ -364,16 +364,14 @@ def local_frame(body: Any, point: Sequence[float] | np.ndarray, orientation: np.
 
 
 def _checked_frame(name: str, frame: JointFrame) -> JointFrame:
-    if not isinstance(frame, JointFrame):
-        raise ValueError(f"{name}: must be a JointFrame, got {shown(frame)}")
+    instance_of(name, frame, JointFrame, "a JointFrame")
     return JointFrame(
         finite_vector(f"{name} position", frame.position), unit_quaternion(f"{name} orientation", frame.orientation)
     )
 
 
 def _check_bodies(bodies: Sequence[Any], joint: Joint, body_a: int, body_b: int | None) -> None:
-    if not isinstance(joint, Joint):
-        raise ValueError(f"joint: must be a {', '.join(sorted(JOINTS))}, got {shown(joint)}")
+    instance_of("joint", joint, Joint, f"a {', '.join(sorted(JOINTS))}")
     if body_a == body_b:
         raise ValueError(f"body_b: must be another body than body_a, got {body_b} for both")
     both = [bodies[body].motion for body in (body_a, body_b) if body is not None]
@@ -410,8 +408,6 @@ def _checked_rest(joint: Joint, more: dict[str, Any]) -> dict[str, Any]:
     more["armature"] = number_in("armature", more["armature"], 0.0)
     if more["armature"] > 0.0 and joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
         raise ValueError(f"armature: needs a RevoluteJoint or a PrismaticJoint, got a {type(joint).__name__}")
-    if not isinstance(more["collide"], bool):
-        raise ValueError(f"collide: must be True or False, got {shown(more['collide'])}")
-    if not isinstance(more["name"], str):
-        raise ValueError(f"name: must be a string, got {shown(more['name'])}")
+    instance_of("collide", more["collide"], bool, "True or False")
+    instance_of("name", more["name"], str, "a string")
     return more

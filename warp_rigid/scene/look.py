@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass
 from typing import Any, Self
 
-from warp_rigid.checks import finite_vector, number_in, shown, whole_in
+from warp_rigid.checks import finite_vector, instance_of, number_in, shown, whole_in
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,7 @@ class Look:
             ValueError: A value is outside its range.
         """
         look = cls(color, roughness, metallic)
-        if not isinstance(image, str | None):
-            raise ValueError(f"image: must be the path of a file, got {shown(image)}")
+        instance_of("image", image, str | None, "the path of a file")
         object.__setattr__(look, "image", image)
         return look
 
@@ -69,12 +68,10 @@ def check_looks(name: str, looks: Any, bodies: int) -> None:
     Raises:
         ValueError: One does not, or is no Look; the message begins with `name`.
     """
-    if not isinstance(looks, dict):
-        raise ValueError(f"{name}: must be a dictionary of Look by the index of the body, got {shown(looks)}")
+    instance_of(name, looks, dict, "a dictionary of Look by the index of the body")
     for body, look in looks.items():
         whole_in(f"{name}: index of a body", body, 0, bodies - 1)
-        if not isinstance(look, Look):
-            raise ValueError(f"{name}[{body}]: must be a Look, got {shown(look)}")
+        instance_of(f"{name}[{body}]", look, Look, "a Look")
 
 
 def looks_to_data(looks: dict[int, Look]) -> list[list]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import LARGEST, brief, numbers_of, shown
+from warp_rigid.checks import LARGEST, brief, instance_of, numbers_of
 from warp_rigid.rotations import about_axis, continuous_signs, inverse, multiply
 
 SAME_PLACE, SAME_ORIENTATION = 1e-6, 1e-6
@@ -58,8 +58,7 @@ class PosePath:
             raise ValueError("orientations: must be quaternions (x, y, z, w) of length > 0")
         orientations = np.where(np.abs(length - 1.0) <= 1e-15, orientations, orientations / length)
         orientations = continuous_signs(orientations)
-        if not isinstance(self.loop, bool):
-            raise ValueError(f"loop: must be True or False, got {shown(self.loop)}")
+        instance_of("loop", self.loop, bool, "True or False")
         apart = np.abs(positions[-1] - positions[0]).max() > SAME_PLACE * max(1.0, np.abs(positions).max())
         if self.loop and (apart or 1.0 - abs(orientations[0] @ orientations[-1]) > SAME_ORIENTATION**2 / 8):
             raise ValueError("loop: the last pose must be the first one, from which a repeated path goes on")

@@ -17,6 +17,7 @@ from warp_rigid.checks import (
     LARGEST,
     box_corners,
     finite_vector,
+    instance_of,
     listed,
     number_in,
     one_of,
@@ -58,19 +59,13 @@ LIGHTEST, HEAVIEST = 1e-17, 1e15
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
-def _checked_camera(name: str, value: Any) -> Camera | None:
-    if value is not None and not isinstance(value, Camera):
-        raise ValueError(f"{name}: must be a Camera or None, got {shown(value)}")
-    return value
-
-
 _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "gravity": finite_vector,
     "friction_combine": partial(one_of, choices=COMBINE_RULES),
     "restitution_combine": partial(one_of, choices=COMBINE_RULES),
     "bounds": lambda name, value: None if value is None else box_corners(name, value),
     "out_of_bounds": partial(one_of, choices=OUT_OF_BOUNDS),
-    "camera": _checked_camera,
+    "camera": partial(instance_of, kind=Camera | None, words="a Camera or None"),
 }
 """Checks of the attributes of a scene that may be set, which return the value to store."""
 
@@ -347,8 +342,7 @@ class Scene:
         Raises:
             ValueError: The argument is not a force field.
         """
-        if not isinstance(field, ForceField):
-            raise ValueError(f"field: must be a {' or a '.join(FIELDS)}, got {shown(field)}")
+        instance_of("field", field, ForceField, f"a {' or a '.join(FIELDS)}")
         self.force_fields.append(field)
 
     def index(self, body: int | str, name: str = "body") -> int:
@@ -480,8 +474,7 @@ class Scene:
         self.joints[index] = replace(entry, drive=drive)
 
     def _check_shape(self, shape, motion):
-        if not isinstance(shape, Shape):
-            raise ValueError(f"shape: must be a shape such as Box or Mesh, got {shown(shape)}")
+        instance_of("shape", shape, Shape, "a shape such as Box or Mesh")
         if isinstance(shape, Heightfield) and motion != Motion.DYNAMIC:
             if shape.moving and motion == Motion.STATIC:
                 raise ValueError("shape: a Heightfield with a motion can only be kinematic, not static")
@@ -499,10 +492,8 @@ class Scene:
                 known = suggestion(keyword, list(signature(add).parameters)[1:])
                 hint = "; set it with scene.looks[index] = Look((red, green, blue))" if keyword in OF_LOOKS else known
                 raise TypeError(f"unexpected keyword argument {keyword!r}{hint}")
-        if name is not None and not isinstance(name, str):
-            raise ValueError(f"name: must be a string, got {shown(name)}")
-        if not isinstance(active, bool):
-            raise ValueError(f"active: must be True or False, got {shown(active)}")
+        instance_of("name", name, str | None, "a string")
+        instance_of("active", active, bool, "True or False")
         body = Body(
             shape=shape,
             motion=motion,
@@ -528,8 +519,7 @@ def _start(state: tuple, path: PosePath | None) -> tuple:
     """Pose and velocities of a kinematic body as given, or those of the start of its path."""
     if path is None:
         return state
-    if not isinstance(path, PosePath):
-        raise ValueError(f"path: must be a PosePath, got {shown(path)}")
+    instance_of("path", path, PosePath, "a PosePath")
     names = ("position", "orientation", "linear_velocity", "angular_velocity")
     for name, value, start in zip(names, state, (STILL, UNTURNED, STILL, STILL), strict=True):
         if not np.array_equal(value, start):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
-from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
+from warp_rigid.checks import finite_vector, instance_of, number_in, shown, unit_quaternion
 from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.precision import check_mass_ratio, check_precision
 from warp_rigid.engine.quantities import LACKED, VELOCITIES, check_vectors
@@ -256,8 +256,7 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
         for index in chosen:
             _check_mass(scene.bodies[index], name, value)
     elif plain == "active":
-        if not isinstance(value, bool):
-            raise ValueError(f"{name}: must be True or False, got {shown(value)}")
+        instance_of(name, value, bool, "True or False")
     elif plain == "orientation":
         unit_quaternion(name, value)
     else:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
-from warp_rigid.checks import listed, shown, suggestion
+from warp_rigid.checks import instance_of, listed, shown, suggestion
 from warp_rigid.display import html_of
 from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file, check_replaceable
@@ -404,8 +404,7 @@ def read(path: Any) -> SweepResult:
 
 def _check(about: Any, rows: list[dict[str, Any]]) -> None:
     """Check that metadata and rows are those of a sweep."""
-    if not isinstance(about, dict):
-        raise ValueError(f"metadata: must be a JSON object, got {shown(about)}")
+    instance_of("metadata", about, dict, "a JSON object")
     for name in METADATA_TYPES.keys() & about.keys():
         metadata_field(about, name)
     for row in rows:

@@ -9,7 +9,7 @@ from typing import Any, Self, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_rigid.checks import finite_vector, number_array, number_in, shown
+from warp_rigid.checks import finite_vector, instance_of, number_array, number_in, shown
 from warp_rigid.scene.shapes import tessellation, topology
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
@@ -66,8 +66,7 @@ class Heightfield(Shape):
         if min(extent) <= 0.0:
             raise ValueError(f"size: must be 2 finite numbers > 0, got {shown(size)}")
         self.extent = frozen_array(extent)
-        if motion is not None and not isinstance(motion, HarmonicMotion):
-            raise ValueError(f"motion: must be a HarmonicMotion or None, got {motion!r}")
+        instance_of("motion", motion, HarmonicMotion | None, "a HarmonicMotion or None")
         self.moving = motion is not None
         motion = motion or HarmonicMotion(0.0, 0.0)
         self.amplitude = self._at_vertices("amplitude", motion.amplitude)
