@@ -259,11 +259,7 @@ def _find(case: ValidationCase, check: Check, device: str, subject: Any) -> Chec
     if len(labels) != len(value):
         raise ValueError(f"{case.id} {check.quantity}: {len(value)} values for {len(labels)} labels")
     error = check.tolerance.error(value, reference)
-    return CheckResult(case, check, device, labels, value, reference, error, "", *_work(case, subject))
-
-
-def _work(case: ValidationCase, subject: Any) -> tuple[int | None, float | None]:
-    """Contacts and residual of the last steps of a case's simulations."""
-    if not case.experiments:
-        return None, None
-    return sum(len(trace.contacts) for trace in subject), max(trace.residual for trace in subject)
+    traces = subject if case.experiments else ()
+    contacts = sum(len(trace.contacts) for trace in traces) if traces else None
+    residual = max((trace.residual for trace in traces), default=None)
+    return CheckResult(case, check, device, labels, value, reference, error, "", contacts, residual)

@@ -6,6 +6,8 @@ from functools import cache
 
 import numpy as np
 import trimesh
+from trimesh.grouping import unique_rows
+from trimesh.util import unitize, vector_hemisphere
 
 from warp_rigid import rotations
 from warp_rigid.engine.settings import Settings
@@ -42,12 +44,8 @@ def features(kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _distinct(directions: np.ndarray) -> np.ndarray:
     """Unit directions without repetitions, up to their sign."""
-    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    kept: list[np.ndarray] = []
-    for one in unit:
-        if all(abs(one @ other) < 1.0 - 1e-9 for other in kept):
-            kept.append(one)
-    return np.array(kept)
+    unit = vector_hemisphere(unitize(directions))
+    return unit[unique_rows(unit, digits=6)[0]]
 
 
 def overlap(kinds: Sequence[str], offset: np.ndarray, orientation: np.ndarray) -> np.ndarray:

@@ -135,11 +135,11 @@ def _line(finding: CheckResult, variant: int, place: str, with_device: bool) -> 
     if check.tolerance.kind == "outcome":
         words = _outcome_words(finding, variant)
     else:
-        reference = figure(finding.reference[variant])
+        reference = f"{finding.reference[variant]:.6g}"
         if check.tolerance.kind in ("at_most", "at_least") and finding.reference[variant] != 0.0:
             reference = f"{'<=' if check.tolerance.kind == 'at_most' else '>='} {reference}"
         words = [
-            figure(finding.value[variant]),
+            f"{finding.value[variant]:.6g}",
             reference,
             _error(error, check.tolerance.kind),
             _error(check.tolerance.limit, check.tolerance.kind),
@@ -156,11 +156,6 @@ def _outcome_words(finding: CheckResult, variant: int) -> list[str]:
         return [found, due, str(int(found != due)), "0"]
     agree, count = int((finding.error == 0.0).sum()), len(finding.labels)
     return [f"{agree} of {count} as expected", "all as expected", str(count - agree), "0"]
-
-
-def figure(value: float) -> str:
-    """A number with six significant digits."""
-    return f"{value:.6g}"
 
 
 def _error(value: float, kind: str) -> str:

@@ -28,7 +28,6 @@ SECTIONS = (
     "robustness",
 )
 """Files of this folder with the cases of a section each."""
-CPU = "cpu"
 
 
 def all_cases(quick: bool = False) -> list[ValidationCase]:
@@ -66,7 +65,7 @@ def run_suite(
     """
     findings = []
     for case in cases:
-        for device in devices if case.on_device else [CPU]:
+        for device in devices if case.on_device else ["cpu"]:
             subject, found = judge(case, device)
             findings += found
             if on_case:

@@ -112,12 +112,6 @@ def plates():
     )
 
 
-def at(part, place):
-    """A part moved to a place."""
-    part.apply_translation(place)
-    return part
-
-
 def random_parts():
     """Boxes and balls in random poses that overlap."""
     draw = np.random.default_rng(73)
@@ -125,7 +119,7 @@ def random_parts():
     for k in range(5):
         part = trimesh.creation.icosphere(radius=0.35) if k % 2 else trimesh.creation.box(draw.uniform(0.3, 1, 3))
         part.apply_transform(trimesh.transformations.random_rotation_matrix(draw.random(3)))
-        parts.append(at(part, draw.uniform(-0.4, 0.4, 3)))
+        parts.append(part.apply_translation(draw.uniform(-0.4, 0.4, 3)))
     return parts
 
 
@@ -134,7 +128,7 @@ PARTS = {
     "cross": lambda: [trimesh.creation.box(np.roll((3.0, 1.0, 1.0), k)) for k in range(3)],
     "bench": lambda: [
         trimesh.creation.box((1.0, 0.4, 0.1)),
-        *(at(trimesh.creation.box((0.1, 0.4, 0.5)), (x, 0, -0.22)) for x in (-0.4, 0.4)),
+        *(trimesh.creation.box((0.1, 0.4, 0.5)).apply_translation((x, 0, -0.22)) for x in (-0.4, 0.4)),
     ],
     "five parts": random_parts,
 }
