@@ -3,33 +3,16 @@
 import contextlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.files import polygons
+from warp_rigid.files.polygons import Triangles
 from warp_rigid.files.usd_meshes import usd_coordinates, usd_corners
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-TRIMESH_SUFFIXES = (".stl", ".glb", ".gltf")
-
-
-class Triangles(NamedTuple):
-    """All triangles of a file.
-
-    Attributes:
-        vertices: (n, 3) float64.
-        faces: (m, 3) int64.
-        uv: texture coordinates of the corners of the faces (m, 3, 2), NaN where a corner has none; None without.
-        image: the image of the first material that has one: the path of its file, or an image of Pillow that is in the
-            file; None without.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray | None = None
-    image: Any = None
 
 
 def load(path, scale: float = 1.0) -> Triangles:
@@ -46,13 +29,12 @@ def load(path, scale: float = 1.0) -> Triangles:
     path = Path(path)
     scale = number_in("scale", scale, above=0)
     suffix = path.suffix.lower()
-    known = (*polygons.READERS, *TRIMESH_SUFFIXES, *USD_SUFFIXES)
-    if suffix not in known:
-        raise ValueError(f"{path}: must be a mesh file ({' '.join(known)})")
+    if suffix not in READERS:
+        raise ValueError(f"{path}: must be a mesh file ({' '.join(READERS)})")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     try:
-        found = _load(path, suffix)
+        found = READERS[suffix](path)
     except Exception as error:  # the exceptions of the parsers are not documented
         reason = (str(error).strip() or repr(error)).splitlines()[0]
         raise ValueError(reason if reason.startswith(f"{path}: ") else f"{path}: cannot be read: {reason}") from None
@@ -64,17 +46,6 @@ def load(path, scale: float = 1.0) -> Triangles:
 def states_its_unit(path) -> bool:
     """Whether coordinates of a file's format are in metres, or in a unit that the file states."""
     return Path(path).suffix.lower() in (".glb", ".gltf", *USD_SUFFIXES)
-
-
-def _load(path: Path, suffix: str) -> Triangles:
-    if suffix in USD_SUFFIXES:
-        return _load_usd(path)
-    if suffix in TRIMESH_SUFFIXES:
-        return _load_trimesh(path)
-    found = polygons.READERS[suffix](path)
-    triangles = polygons.triangles_of_corners(found.points, found.corners, found.sides)
-    uv = None if found.uv is None else found.uv[triangles]
-    return Triangles(found.points, found.corners[triangles], uv, found.image)
 
 
 def _load_trimesh(path: Path) -> Triangles:
@@ -157,3 +128,11 @@ def _load_usd(path: Path) -> Triangles:
 def _turn_z_up(vertices: np.ndarray) -> np.ndarray:
     """Rotate from y up to z up."""
     return vertices[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])
+
+
+READERS = {
+    **polygons.READERS,
+    **dict.fromkeys((".stl", ".glb", ".gltf"), _load_trimesh),
+    **dict.fromkeys(USD_SUFFIXES, _load_usd),
+}
+"""Functions that read a file, by its suffix."""

@@ -11,22 +11,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-class Polygons(NamedTuple):
-    """Polygons of a file.
+class Triangles(NamedTuple):
+    """All triangles of a file.
 
     Attributes:
-        points: (n, 3).
-        corners: indices of the corners of all polygons, one after another (c,).
-        sides: number of corners of each polygon (p,).
-        uv: texture coordinates of the corners (c, 2), NaN where a corner has none; None without.
-        image: path of the image of the first material that has one.
+        vertices: (n, 3) float64.
+        faces: (m, 3) int64.
+        uv: texture coordinates of the corners of the faces (m, 3, 2), NaN where a corner has none; None without.
+        image: the image of the first material that has one: the path of its file, or an image of Pillow that is in the
+            file; None without.
     """
 
-    points: np.ndarray
-    corners: np.ndarray
-    sides: np.ndarray
+    vertices: np.ndarray
+    faces: np.ndarray
     uv: np.ndarray | None = None
-    image: Path | None = None
+    image: Any = None
 
 
 FLAT = 1e-9
@@ -84,12 +83,17 @@ def _divided(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.asarray(manifold3d.triangulate([plane], allow_convex=False))
 
 
-def _listed(points: Any, polygons: Iterable[Any]) -> Polygons:
-    """Polygons from the lists of their corners."""
-    rows = [np.asarray(row, dtype=np.int64) for row in polygons]
-    corners = np.concatenate([np.zeros(0, dtype=np.int64), *rows])
-    sides = np.array([len(row) for row in rows], dtype=np.int64)
-    return Polygons(np.array(points, dtype=np.float64).reshape(-1, 3), corners, sides)
+def _corners(polygons: Iterable[Any]) -> np.ndarray:
+    """The corners of all polygons, one after another (c,)."""
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(np.asarray(row, dtype=np.int64) for row in polygons)])
+
+
+def _triangles(points: Any, polygons: Iterable[Any], uv: np.ndarray | None = None, image: Any = None) -> Triangles:
+    """The triangles of polygons, given by their corners, with texture coordinates of all corners (c, 2)."""
+    points = np.array(points, dtype=np.float64).reshape(-1, 3)
+    corners, sides = _corners(polygons), np.array([len(row) for row in polygons], dtype=np.int64)
+    triangles = triangles_of_corners(points, corners, sides)
+    return Triangles(points, corners[triangles], None if uv is None else uv[triangles], image)
 
 
 def _lines(path: Path) -> list[list[str]]:
@@ -98,7 +102,7 @@ def _lines(path: Path) -> list[list[str]]:
     return [words for line in text.splitlines() if (words := line.split("#", 1)[0].split())]
 
 
-def _read_obj(path: Path) -> Polygons:
+def _read_obj(path: Path) -> Triangles:
     """Points, faces, texture coordinates and the first image of an OBJ file."""
     points: list[list[float]] = []
     places: list[list[float]] = [[np.nan, np.nan]]  # the first is that of corners without one
@@ -115,12 +119,11 @@ def _read_obj(path: Path) -> Polygons:
             uv += [place if place >= 0 else len(places) + place for _, place in numbers]
         elif name == "mtllib":
             libraries.append(path.parent / " ".join(words))
-    listed = _listed(points, polygons)
     if len(places) == 1:
-        return listed
+        return _triangles(points, polygons)
     if uv and not 0 <= min(uv) <= max(uv) < len(places):
         raise ValueError(f"vt: there are {len(places) - 1}, but a face names {max(uv)}")
-    return listed._replace(uv=np.array(places)[uv].reshape(-1, 2), image=_image_of_materials(libraries))
+    return _triangles(points, polygons, np.array(places)[uv].reshape(-1, 2), _image_of_materials(libraries))
 
 
 def _image_of_materials(libraries: list[Path]) -> Path | None:
@@ -141,7 +144,7 @@ def _is_option(word: str) -> bool:
     return word.startswith("-") or word in ("on", "off") or word.replace(".", "", 1).isdigit()
 
 
-def _read_off(path: Path) -> Polygons:
+def _read_off(path: Path) -> Triangles:
     """Points and faces of an OFF file, without colours and normals."""
     (title, *rest), *lines = _lines(path)
     if title.upper() not in ("OFF", "COFF", "NOFF", "CNOFF"):
@@ -152,10 +155,10 @@ def _read_off(path: Path) -> Polygons:
         raise ValueError(f"must have {count} points and {faces} faces, has {len(lines) - 1} lines")
     points = [[float(word) for word in words[:3]] for words in lines[1 : 1 + count]]
     polygons = [[int(word) for word in words[1 : 1 + int(words[0])]] for words in lines[1 + count : 1 + count + faces]]
-    return _listed(points, polygons)
+    return _triangles(points, polygons)
 
 
-def _read_ply(path: Path) -> Polygons:
+def _read_ply(path: Path) -> Triangles:
     """Points, faces, texture coordinates and the image of a PLY file."""
     # Not load_ply, which cannot read polygons of several sizes with texture coordinates.
     from trimesh.exchange import ply
@@ -165,9 +168,9 @@ def _read_ply(path: Path) -> Polygons:
         (ply._ply_ascii if is_text else ply._ply_binary)(elements, stream)
     points = np.column_stack([np.ravel(elements["vertex"]["data"][axis]) for axis in "xyz"])
     faces = elements.get("face", {}).get("data")
-    listed = _listed(points, _rows_of_ply(faces, "vertex_indices", "vertex_index"))
-    uv = _uv_of_ply(elements["vertex"]["data"], _rows_of_ply(faces, "texcoord"), listed.corners)
-    return listed._replace(uv=uv, image=path.parent / image if image and uv is not None else None)
+    polygons = _rows_of_ply(faces, "vertex_indices", "vertex_index")
+    uv = _uv_of_ply(elements["vertex"]["data"], _rows_of_ply(faces, "texcoord"), _corners(polygons))
+    return _triangles(points, polygons, uv, path.parent / image if image and uv is not None else None)
 
 
 def _rows_of_ply(data: Any, *names: str) -> Any:
@@ -196,5 +199,5 @@ def _uv_of_ply(vertices: Any, of_faces: Any, corners: np.ndarray) -> np.ndarray 
     return None
 
 
-READERS: dict[str, Callable[[Path], Polygons]] = {".obj": _read_obj, ".off": _read_off, ".ply": _read_ply}
-"""Functions that read the polygons of a file, by its suffix."""
+READERS: dict[str, Callable[[Path], Triangles]] = {".obj": _read_obj, ".off": _read_off, ".ply": _read_ply}
+"""Functions that read the triangles of a file with polygons, by its suffix."""

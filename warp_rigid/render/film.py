@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import one_of
-from warp_rigid.files.mesh_files import Triangles, joined
+from warp_rigid.files.mesh_files import joined
+from warp_rigid.files.polygons import Triangles
 from warp_rigid.render.appearance import (
     COLORINGS,
     body_colors,
