@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdPhysics
+from pxr import Gf, Usd, UsdGeom
 
 from warp_rigid.checks import number_in, one_of
 
@@ -125,15 +125,6 @@ def meters_per_unit(stage: Usd.Stage) -> float:
         ValueError: It is not a positive number.
     """
     return number_in("metersPerUnit", UsdGeom.GetStageMetersPerUnit(stage), *UNITS)
-
-
-def kilograms_per_unit(stage: Usd.Stage) -> float:
-    """Unit of mass [kg].
-
-    Raises:
-        ValueError: It is not a positive number.
-    """
-    return number_in("kilogramsPerUnit", UsdPhysics.GetStageKilogramsPerUnit(stage), *UNITS)
 
 
 def is_y_up(stage: Usd.Stage) -> bool:

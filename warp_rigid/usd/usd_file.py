@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 
+from warp_rigid.checks import number_in
 from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.import_report import ImportFinding
-from warp_rigid.usd.conventions import FROM_Y_UP, first_time, is_y_up, kilograms_per_unit, meters_per_unit, polar
+from warp_rigid.usd.conventions import FROM_Y_UP, UNITS, first_time, is_y_up, meters_per_unit, polar
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import matrix_between, matrix_of
@@ -72,7 +73,7 @@ class UsdFile:
         expand_instancers(self.root, [self.start])
         self.transforms = UsdGeom.XformCache(self.start)
         self.meter = meters_per_unit(self.stage)
-        self.kilogram = kilograms_per_unit(self.stage)
+        self.kilogram = number_in("kilogramsPerUnit", UsdPhysics.GetStageKilogramsPerUnit(self.stage), *UNITS)
         self.below = list(Usd.PrimRange(self.root, Usd.TraverseInstanceProxies()))
         self.to_z_up = FROM_Y_UP if is_y_up(self.stage) else np.eye(3)
         self.objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(self.stage, [str(self.root.GetPath())])
