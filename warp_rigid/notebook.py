@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid.checks import shown
 from warp_rigid.display import Inline, film_of, html_of
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -133,9 +134,10 @@ class _TooLarge(ValueError):
 
 def _write(recording: Recording, suffix: str, path: Any, envs: Any = None, color: str = "body", **drawn: Any) -> None:
     """Write a film to a file."""
-    from warp_rigid.viewer.film_files import check_suffix, film_to_draw, selected, write_film
+    from warp_rigid.viewer.film_files import film_to_draw, selected, write_film
 
-    check_suffix(path, suffix)
+    if Path(path).suffix != suffix:
+        raise ValueError(f"path: must end in {suffix}, got {shown(path)}")
     write_film(film_to_draw(selected(recording, envs), color), path, **drawn)
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from warp_rigid.checks import one_of, shown, whole_in
+from warp_rigid.checks import one_of, whole_in
 from warp_rigid.extras import need_for_file
 from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
@@ -48,16 +48,6 @@ def selected(recording: Recording, envs: Any = None) -> Recording:
         envs=recording.envs[rows],
         labels=tuple(recording.labels[row] for row in rows),
     )
-
-
-def check_suffix(path: Any, suffix: str) -> None:
-    """Check the name of a file.
-
-    Raises:
-        ValueError: It has another suffix.
-    """
-    if Path(path).suffix != suffix:
-        raise ValueError(f"path: must end in {suffix}, got {shown(path)}")
 
 
 def write_film(film: Film, path: Any, width: int | None = None, height: int | None = None, name: Any = None) -> None:
