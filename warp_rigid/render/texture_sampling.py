@@ -1,6 +1,5 @@
 """Colour of an image at a point of a textured triangle."""
 
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +75,9 @@ def texture_color(
 def textures_of(film: Film) -> Textures:
     """The images of a film; instances whose image cannot be read have none."""
     made = Textures()
-    levels = [_levels(path) for path in film.images]
+    files = [Path(file_of_image(path)) for path in film.images]
+    changes = [file.stat().st_mtime_ns if file.is_file() else 0 for file in files]
+    levels = [image_levels(*image) for image in zip(film.images, changes, strict=True)]
     count = np.array([len(sizes) for sizes in levels], dtype=int)
     start = np.where(count > 0, np.cumsum(count) - count, -1)
     flat = [size for sizes in levels for size in sizes]
@@ -92,17 +93,6 @@ def textures_of(film: Film) -> Textures:
     length = np.concatenate([_lengths(mesh) for mesh in film.meshes]) if flat else np.zeros(0)
     made.uv, made.length = wp.array(uv, dtype=wp.vec2), wp.array(length, dtype=float)
     return made
-
-
-def _levels(path: str) -> tuple[np.ndarray, ...]:
-    """An image and its reductions; read once for the panels of a picture."""
-    file = Path(file_of_image(path))
-    return _levels_at(path, file.stat().st_mtime_ns if file.is_file() else 0)
-
-
-@lru_cache(maxsize=16)
-def _levels_at(path: str, _modified: int) -> tuple[np.ndarray, ...]:
-    return image_levels(path)
 
 
 def _uv_of(mesh: DrawnMesh) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import io
 import warnings
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,13 +70,15 @@ def open_image(path: str) -> tuple["Image.Image", str, bytes | None]:
         raise ValueError(f"cannot be decoded: {error}") from None
 
 
-def read_image(path: str) -> "Image.Image | None":
-    """An image as RGB; None, with a warning, if it cannot be read."""
+def read_image(path: str, side: int = LARGEST_IMAGE) -> "Image.Image | None":
+    """An image as RGB, reduced to `side` pixels in width and height; None, with a warning, if it cannot be read."""
     try:
-        return open_image(path)[0]
+        image = open_image(path)[0]
     except ValueError as error:
         warn_of_image(path, error)
         return None
+    image.thumbnail((side, side), image_filter())
+    return image
 
 
 def embedded_image(path: str) -> tuple[bytes, str] | None:
@@ -124,17 +127,18 @@ def image_filter():
     return Image.Resampling.BOX
 
 
-def image_levels(path: str) -> tuple[np.ndarray, ...]:
+@lru_cache(maxsize=16)
+def image_levels(path: str, _modified: int) -> tuple[np.ndarray, ...]:
     """An image and its reductions to half of the width and height, down to one pixel; none if it cannot be read.
+
+    It is read once for each time of its last change, for the panels of a picture.
 
     Returns:
         (height, width, 3) uint8 each, sRGB. Means are taken in linear light.
     """
-    image = read_image(path)
+    image = read_image(path, LARGEST_SIDE)
     if image is None:
         return ()
-    if max(image.size) > LARGEST_SIDE:
-        image.thumbnail((LARGEST_SIDE, LARGEST_SIDE), image_filter())
     levels = [np.asarray(image, np.uint8)]
     light = linear_light(levels[0].astype(np.float32)).astype(np.float32)
     while max(light.shape[:2]) > 1:

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from warp_rigid.render.film import DrawnMesh, Film
-from warp_rigid.render.textures import image_filter, read_image
+from warp_rigid.render.textures import read_image
 from warp_rigid.viewer.page import add_ground, add_labels, opacity_of_walls
 
 FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
@@ -172,10 +172,9 @@ def textured_mesh(mesh: DrawnMesh, path: str, color: np.ndarray) -> bytes | None
         path: of the image.
         color: (3,) uint8, of the triangles without texture coordinates.
     """
-    image = read_image(path)
+    image = read_image(path, LARGEST_SIDE)
     if image is None or mesh.uv is None:
         return None
-    image.thumbnail((LARGEST_SIDE, LARGEST_SIDE), image_filter())
     has_uv = np.isfinite(mesh.uv).all(axis=(1, 2))
     scene = trimesh.Scene()
     for chosen, look in ((has_uv, {"baseColorTexture": image}), (~has_uv, {"baseColorFactor": color})):
