@@ -1,4 +1,4 @@
-"""Reading triangle meshes from files."""
+"""Reading triangle meshes from files, and single meshes of USD."""
 
 import contextlib
 from collections.abc import Sequence
@@ -10,7 +10,6 @@ import numpy as np
 from warp_rigid.checks import number_in
 from warp_rigid.files import polygons
 from warp_rigid.files.polygons import Triangles
-from warp_rigid.files.usd_meshes import usd_coordinates, usd_corners
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
@@ -108,11 +107,10 @@ def _load_usd(path: Path) -> Triangles:
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         if not prim.IsA(UsdGeom.Mesh):
             continue
-        points, corners, triangles = usd_corners(UsdGeom.Mesh(prim))
-        primvar, uv = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("st"), None
-        if primvar and primvar.HasValue():
-            with contextlib.suppress(ValueError):
-                uv = usd_coordinates(UsdGeom.Mesh(prim), primvar, corners, triangles)
+        mesh, uv = UsdGeom.Mesh(prim), None
+        points, corners, triangles = usd_corners(mesh)
+        with contextlib.suppress(ValueError):
+            uv = usd_coordinates(mesh, "st", corners, triangles)
         matrix = np.array(places.GetLocalToWorldTransform(prim))
         if np.linalg.det(matrix[:3, :3]) < 0.0:
             triangles = triangles[:, ::-1]
@@ -123,6 +121,64 @@ def _load_usd(path: Path) -> Triangles:
     if UsdGeom.StageHasAuthoredMetersPerUnit(stage):
         vertices = vertices * meters_per_unit(stage)
     return found._replace(vertices=_turn_z_up(vertices) if is_y_up(stage) else vertices)
+
+
+def usd_corners(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (n, 3) of one USD mesh, the point of each corner of its polygons (c,), and triangles of corners (m, 3)."""
+    from pxr import UsdGeom
+
+    points = np.array(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
+    sides = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
+    try:
+        triangles = polygons.triangles_of_corners(points, corners, sides, ("faceVertexIndices", "faceVertexCounts"))
+    except ValueError as error:
+        raise ValueError(f"{mesh.GetPath()}: {error}") from None
+    if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+        triangles = triangles[:, ::-1]
+    return points, corners, triangles
+
+
+def usd_coordinates(mesh, name: str, corners: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
+    """Texture coordinates of the corners of triangles, (m, 3, 2); None without.
+
+    Args:
+        mesh: a USD mesh.
+        name: of the primvar, which the mesh has or inherits.
+        corners: points of the corners of its polygons (c,).
+        triangles: corners of its triangles (m, 3).
+
+    Raises:
+        ValueError: The values are no pairs of finite numbers, or do not match the mesh.
+    """
+    from pxr import Usd, UsdGeom
+
+    primvar = UsdGeom.PrimvarsAPI(mesh).FindPrimvarWithInheritance(name)
+    if not primvar or not primvar.HasValue():
+        return None
+    interpolation, tokens = str(primvar.GetInterpolation()), UsdGeom.Tokens
+    values = _pairs(primvar.ComputeFlattened(Usd.TimeCode.EarliestTime()))
+    ends = np.cumsum(np.array(mesh.GetFaceVertexCountsAttr().Get() or [], np.int64))
+    index_of_value = {
+        tokens.vertex: corners[triangles],
+        tokens.varying: corners[triangles],
+        tokens.faceVarying: triangles,
+        tokens.uniform: np.searchsorted(ends, triangles, side="right"),
+        tokens.constant: np.zeros_like(triangles),
+    }
+    places = index_of_value.get(interpolation)
+    if values is None or places is None or places.max(initial=-1) >= len(values):
+        found = "no pairs of finite numbers" if values is None else f"{len(values)} values"
+        raise ValueError(f"{primvar.GetName()} is ignored: it has {found}, interpolated as {interpolation}")
+    return values[places]
+
+
+def _pairs(values) -> np.ndarray | None:
+    try:
+        found = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        return None
+    return found if found.ndim == 2 and found.shape[1] == 2 and np.isfinite(found).all() else None
 
 
 def _turn_z_up(vertices: np.ndarray) -> np.ndarray:

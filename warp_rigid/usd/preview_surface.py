@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
-from warp_rigid.files.usd_meshes import usd_coordinates, usd_corners
+from warp_rigid.files.mesh_files import usd_coordinates, usd_corners
 from warp_rigid.render.textures import mean_color
 from warp_rigid.scene.look import Look
 from warp_rigid.usd.conventions import custom_data
@@ -80,11 +80,9 @@ def read_uv(prim: Usd.Prim, corners: np.ndarray, triangles: np.ndarray, notes: l
     if custom and "uv" not in custom:
         return None
     texture = _texture_of(prim) or Texture("")
-    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(texture.varname)
-    if not primvar or not primvar.HasValue():
-        return None
     try:
-        return texture.transformed(usd_coordinates(UsdGeom.Mesh(prim), primvar, corners, triangles))
+        uv = usd_coordinates(UsdGeom.Mesh(prim), texture.varname, corners, triangles)
+        return None if uv is None else texture.transformed(uv)
     except ValueError as error:
         notes.append(str(error))
         return None

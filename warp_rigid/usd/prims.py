@@ -6,7 +6,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.files.usd_meshes import usd_corners
+from warp_rigid.files.mesh_files import usd_corners
 from warp_rigid.scene.shapes import (
     Box,
     Capsule,
