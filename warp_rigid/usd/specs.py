@@ -50,16 +50,11 @@ def reload_layer(path: Path) -> None:
 
 def stage_metadata(layer: Sdf.Layer, default_prim: str, fps: float) -> None:
     """Write the stage metadata: z up, metres, kilograms, one time code per frame."""
-    root = layer.pseudoRoot
-    root.SetInfo("upAxis", "Z")
-    root.SetInfo("metersPerUnit", 1.0)
-    root.SetInfo("kilogramsPerUnit", 1.0)
+    for name, value in (("upAxis", "Z"), ("metersPerUnit", 1.0), ("kilogramsPerUnit", 1.0)):
+        layer.pseudoRoot.SetInfo(name, value)
     layer.defaultPrim = default_prim
-    # Readers differ in which of the two rates they use.
-    layer.framesPerSecond = fps
-    layer.timeCodesPerSecond = fps
-    layer.startTimeCode = 0.0
-    layer.endTimeCode = 0.0
+    layer.framesPerSecond = layer.timeCodesPerSecond = fps  # readers differ in which of the two rates they use
+    layer.startTimeCode = layer.endTimeCode = 0.0
 
 
 def define(

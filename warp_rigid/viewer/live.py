@@ -483,13 +483,11 @@ class LiveViewer:
 
     def _poses(self, state: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """A state of all environments as the poses of a film of one frame."""
-        position = state["position"][self.rows] + self._film.offset[:, None].astype(np.float32)
-        orientation = state["orientation"][self.rows]
-        present = state["active"][self.rows].reshape(1, -1)
+        offset = self._film.offset[:, None].astype(np.float32)
         return {
-            "position": position.reshape(1, -1, 3),
-            "orientation": orientation.reshape(1, -1, 4),
-            "present": present,
+            "position": (state["position"][self.rows] + offset).reshape(1, -1, 3),
+            "orientation": state["orientation"][self.rows].reshape(1, -1, 4),
+            "present": state["active"][self.rows].reshape(1, -1),
         }
 
     @property
