@@ -32,7 +32,6 @@ from warp_rigid.usd.conventions import MARK, custom_data, gf_quaternion, lineage
 from warp_rigid.usd.masses import SHARE, insert_links, positive, stated_center, states_no_mass, with_point_mass
 from warp_rigid.usd.prims import applies
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
-from warp_rigid.usd.start_values import JointValues
 from warp_rigid.usd.usd_file import JOINT_KINDS, Types, UsdFile
 
 NAMES = Sdf.ValueTypeNames
@@ -370,17 +369,20 @@ def _range(limit: Any, unit: float, start: float) -> tuple[float, float] | None:
     return low * unit - start, high * unit - start
 
 
-def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, values: JointValues, paths: list[str]) -> None:
+def write_joint(
+    layer: Sdf.Layer, path: str, entry: JointEntry, numbers: dict[JointNumber, float], is_broken: bool, paths: list[str]
+) -> None:
     """Define a joint.
 
     Args:
         layer: receives the prim.
         path: of the prim.
         entry: the joint.
-        values: its values, which can differ from those of the entry.
+        numbers: its numbers, which can differ from those of the entry.
+        is_broken: whether it has no effect.
         paths: paths of the bodies, and last that of the world of their environment.
     """
-    numbers, coordinate = values.numbers, entry.joint.coordinate
+    coordinate = entry.joint.coordinate
     kind = "angular" if coordinate == Coordinate.ANGLE else "linear"
     has_motor = entry.drive is not None or numbers[JointNumber.STIFFNESS] > 0.0 or numbers[JointNumber.DAMPING] > 0.0
     is_driven = has_motor and coordinate not in (Coordinate.NONE, Coordinate.CONE)
@@ -394,7 +396,7 @@ def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, values: JointVal
         set_attribute(prim, f"physics:localPos{end}", NAMES.Point3f, Gf.Vec3f(*frame.position))
         set_attribute(prim, f"physics:localRot{end}", NAMES.Quatf, gf_quaternion(frame.orientation))
     set_attribute(prim, "physics:collisionEnabled", NAMES.Bool, entry.collide)
-    if values.broken:
+    if is_broken:
         set_attribute(prim, "physics:jointEnabled", NAMES.Bool, False)
     if coordinate not in (Coordinate.NONE, Coordinate.LENGTH):
         set_attribute(prim, "physics:axis", NAMES.Token, "X", uniform=True)

@@ -79,9 +79,9 @@ class Bodies:
         if any(entry.body_b is None for entry in scene.joints):
             define(samples.layer, f"{root}/{ENV_WORLD}", "Xform")
         ends = [*self._paths, f"{root}/{ENV_WORLD}"]
-        for entry, values in zip(scene.joints, joints_at_start(scene, start, row), strict=True):
+        for k, (entry, numbers) in enumerate(zip(scene.joints, joints_at_start(scene, start, row), strict=True)):
             name = unique_name(Tf.MakeValidIdentifier(entry.name), taken)
-            write_joint(samples.layer, f"{root}/{name}", entry, values, ends)
+            write_joint(samples.layer, f"{root}/{name}", entry, numbers, bool(start["joint_broken"][row, k]), ends)
             if name != entry.name:
                 samples.layer.GetPrimAtPath(f"{root}/{name}").SetInfo("displayName", entry.name)
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,20 +16,8 @@ ANGLES = (JointNumber.LOWER, JointNumber.UPPER, JointNumber.TARGET_POSITION)
 """Numbers of a hinge that count full turns; a file counts from the poses that it states, less than half a turn."""
 
 
-class JointValues(NamedTuple):
-    """Values of a joint.
-
-    Attributes:
-        numbers: by JointNumber.
-        broken: whether it has no effect.
-    """
-
-    numbers: dict[JointNumber, float]
-    broken: bool
-
-
-def joints_at_start(scene: Scene, start: Mapping[str, np.ndarray], row: int) -> list[JointValues]:
-    """Values of the joints of a recorded environment.
+def joints_at_start(scene: Scene, start: Mapping[str, np.ndarray], row: int) -> list[dict[JointNumber, float]]:
+    """Numbers of the joints of a recorded environment.
 
     Args:
         scene: the recorded scene.
@@ -43,7 +31,7 @@ def joints_at_start(scene: Scene, start: Mapping[str, np.ndarray], row: int) -> 
         if entry.joint.coordinate == Coordinate.ANGLE:
             turns = 2.0 * math.pi * round(float(start["joint_position"][row, k]) / (2.0 * math.pi))
             numbers |= {number: numbers[number] - turns for number in ANGLES}
-        found.append(JointValues(numbers, bool(start["joint_broken"][row, k])))
+        found.append(numbers)
     return found
 
 
