@@ -250,8 +250,8 @@ def _film_of_stage(stage) -> Film:
         raise ValueError("must be an animation written by export_usd; warp-rigid run simulates other USD files")
 
     count = [0] * len(envs)
-    codes = time_codes(stage)
-    frames = np.arange(codes.first, codes.last + 1)
+    first, last, _ = time_codes(stage)
+    frames = np.arange(first, last + 1)
     places = UsdGeom.XformCache()
     offset = np.array([places.GetLocalToWorldTransform(prim).ExtractTranslation() for prim in envs])
     parts, paths = [], []

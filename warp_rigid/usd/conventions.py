@@ -1,7 +1,6 @@
 """Conventions of USD and of this package: units, axes, time codes, frames, quaternions, and custom data."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom
@@ -69,14 +68,6 @@ def polar(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (rotation, stretch) if np.linalg.det(rotation) > 0.0 else (-rotation, -stretch)
 
 
-class TimeCodes(NamedTuple):
-    """First and last time code, and their rate [1/s]."""
-
-    first: float
-    last: float
-    rate: float
-
-
 def lineage(prim: Usd.Prim | None) -> Iterator[Usd.Prim]:
     """A prim and those above it, the nearest first, without the root of the stage."""
     while prim and not prim.IsPseudoRoot():
@@ -84,8 +75,8 @@ def lineage(prim: Usd.Prim | None) -> Iterator[Usd.Prim]:
         prim = prim.GetParent()
 
 
-def time_codes(stage: Usd.Stage) -> TimeCodes:
-    """The range of time codes.
+def time_codes(stage: Usd.Stage) -> tuple[float, float, float]:
+    """First and last time code, and their rate [1/s].
 
     Raises:
         ValueError: It is not finite, too long or negative, or the rate is not positive.
@@ -94,7 +85,7 @@ def time_codes(stage: Usd.Stage) -> TimeCodes:
     last = number_in("endTimeCode", stage.GetEndTimeCode(), first, first + MAX_FRAMES)
     rate = number_in("timeCodesPerSecond", stage.GetTimeCodesPerSecond(), above=0.0)
     number_in("framesPerSecond", stage.GetFramesPerSecond(), above=0.0)
-    return TimeCodes(first, last, rate)
+    return first, last, rate
 
 
 def first_time(stage: Usd.Stage) -> Usd.TimeCode:

@@ -58,5 +58,5 @@ def film_duration(path) -> float:
 
     stage = open_stage(Path(path))
     with convert_errors(path):
-        codes = time_codes(stage)
-        return (codes.last - codes.first) / codes.rate
+        first, last, rate = time_codes(stage)
+        return (last - first) / rate
