@@ -50,11 +50,8 @@ SCHEMAS = {
 FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 """Prefixes of physics schemas."""
 
-
 NAMED = {"Newton": "newton:", "Mjc": "mjc:"}
 """Families whose schemas are applied without need: only the attributes with this prefix that a file sets count."""
-CUSTOM = ("mjc:body:",)
-"""Prefixes of attributes that the converter of MuJoCo's files writes without a schema."""
 READ = {
     "newton:armature", "newton:damping", "newton:friction", "newton:inertia", "newton:rollingFriction",
     "newton:torsionalFriction", "mjc:compiler:angle", "mjc:compiler:setTotalMass", "mjc:condim", "mjc:ref",
@@ -367,8 +364,8 @@ def _joined(group: list[Collider], motion: Motion) -> tuple[Shape, np.ndarray, n
 
 def _losses(prim: Usd.Prim, schemas: list[str]) -> list[str]:
     """What a prim says in schemas that are not supported."""
-    prefixes = tuple(prefix for family, prefix in NAMED.items() if any(name.startswith(family) for name in schemas))
-    prefixes += CUSTOM
+    named = (prefix for family, prefix in NAMED.items() if any(name.startswith(family) for name in schemas))
+    prefixes = (*named, "mjc:body:")  # which the converter of MuJoCo's files writes without a schema
     told = [f"schema {name} is not supported" for name in schemas if not name.startswith(tuple(NAMED))]
     authored = [entry.GetName() for entry in prim.GetAuthoredProperties()]
     lost = [name for name in authored if name.startswith(prefixes) and name not in READ]
