@@ -104,9 +104,7 @@ def _load_usd(path: Path) -> Triangles:
     stage = open_stage(path)
     places = UsdGeom.XformCache()
     parts = []
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
-        if not prim.IsA(UsdGeom.Mesh):
-            continue
+    for prim in filter(UsdGeom.Mesh, Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies())):
         mesh, uv = UsdGeom.Mesh(prim), None
         points, corners, triangles = usd_corners(mesh)
         with contextlib.suppress(ValueError):

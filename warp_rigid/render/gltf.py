@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +21,6 @@ from warp_rigid.rotations import continuous_signs
 from warp_rigid.runs.drawn_surface import DrawnSurface
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.look import Look
-
-if TYPE_CHECKING:
-    import pygltflib
 
 Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """Rotation of the root node, since glTF has y up."""
@@ -86,9 +83,9 @@ def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[
 
 
 class _Assembly:
-    """Nodes, meshes and arrays of one file."""
+    """Nodes, meshes and arrays of one file, which the library pygltflib writes."""
 
-    def __init__(self, library: "pygltflib"):
+    def __init__(self, library: Any):
         self._library = library
         self._gltf = library.GLTF2(
             asset=library.Asset(version="2.0", generator="warp_rigid"),
