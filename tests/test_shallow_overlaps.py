@@ -247,3 +247,21 @@ def test_crossed_edges_overlap_by_the_distance_of_their_lines(device, kinds):
     turns = Rotation.from_matrix(np.stack([first, second, np.cross(first, second)], axis=2)).as_quat()
     sim.set("orientation", turns[:, None], bodies=[1])
     np.testing.assert_allclose(depths_of_contacts(sim, count), depth, rtol=0.01)
+
+
+def test_a_point_of_a_mesh_does_not_slide_to_the_far_side_of_a_wall(device):
+    """Where an edge enters a wall beside a face that its point does not oppose: the contact was 0.26 m deep."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_static(wr.Box((0.05, 0.5, 0.706)), position=(-0.45, 0, 0.706))
+    turn = np.array([0.387, -0.445, -0.663, 0.461])
+    scene.add_body(
+        meshes.bunny(0.2),
+        position=(-0.315, -0.201, 0.110),
+        orientation=turn / np.linalg.norm(turn),
+        linear_velocity=(-0.745, 0.259, -0.571),
+        angular_velocity=(-4.915, 1.524, 6.696),
+    )
+    sim = wr.Simulator(scene, settings=wr.Settings(dt=1 / 60), device=device)
+    overlap = sim.penetration()
+    assert 1.7e-3 < overlap < 1.9e-3
+    assert depths_of_contacts(sim, 1) == pytest.approx(overlap, rel=0.01)
