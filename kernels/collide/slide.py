@@ -109,7 +109,7 @@ def may_fall_to(search: Search):
 @wp.func
 def slide_next(search: Search, d: wp.vec4, size: float, convex: int):
     """The least distance on the nearer part of an edge; none if the distance falls further on."""
-    # A distance falls by the way along the edge at most, unless it becomes that to another face that the normal opposes.
+    # A distance falls by the way along the edge at most. More is a jump to another face that the normal opposes.
     if search.before[3] - d[3] > 1.1 * search.t:
         search.stage = SearchStage.DONE
         return search
