@@ -96,10 +96,10 @@ PAIR_ITERATIONS = wp.constant(4)
 of 50 collapses."""
 
 SHARED_ITERATIONS = wp.constant(2)
-"""The same if its upper body has several supports, and in even piles. With one, the tower of beams collapses, and 14
-boxes that land on each other shift by 20 instead of 2 mm; with eight, the first pair takes the whole load, and a
-pyramid of 20 rows is deformed by 1 mm. With two in uneven piles, a cube on one of a thousandth of its mass keeps moving
-by 6 cm/s."""
+"""The same if its upper body has several supports, and in even piles that move. With one, the tower of beams collapses,
+and 14 boxes that land on each other shift by 20 instead of 2 mm; with eight, the first pair takes the whole load, and a
+pyramid of 20 rows is deformed by 1 mm. With two in other piles, bumpy shapes do not come to rest, and a cube on one
+of a thousandth of its mass keeps moving by 6 cm/s."""
 
 # Rounds
 

@@ -196,14 +196,20 @@ def is_even_pile(island: int, graph: Graph):
 
 
 @wp.func
+def is_moving_pile(island: int, graph: Graph):
+    """Whether an island is an even pile that moves."""
+    return is_even_pile(island, graph) and graph.island_speed[island] > BUSY
+
+
+@wp.func
 def has_no_order(island: int, graph: Graph):
     """Whether the load of an island has no order that shock propagation could follow.
 
     That is an even pile that moves, and is not a stack, in which each body is on one other.
     """
-    if graph.needs_sweeps[island] == 1 or not is_even_pile(island, graph):
+    if graph.needs_sweeps[island] == 1 or not is_moving_pile(island, graph):
         return False
-    return graph.island_pairs[island] >= 2 * graph.island_bodies[island] and graph.island_speed[island] > BUSY
+    return graph.island_pairs[island] >= 2 * graph.island_bodies[island]
 
 
 @wp.func

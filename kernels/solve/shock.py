@@ -31,7 +31,7 @@ from warp_rigid.kernels.common.solver_body import (
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints.contact import solve_row
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
-from warp_rigid.kernels.graph.islands import is_even_pile
+from warp_rigid.kernels.graph.islands import is_moving_pile
 from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import (
     Visited,
@@ -114,7 +114,7 @@ def iterations_of(entry: OrderRecord, motions: Motions, graph: Graph):
     """Maximum iterations over the rows of a constraint per visit."""
     several_a = entry.upper_a == 1 and graph.support_count[entry.body_a] > 1
     several_b = entry.upper_b == 1 and graph.support_count[entry.body_b] > 1
-    few = several_a or several_b or is_even_pile(island_of(entry, motions, graph), graph)
+    few = several_a or several_b or is_moving_pile(island_of(entry, motions, graph), graph)
     return wp.where(few, SHARED_ITERATIONS, PAIR_ITERATIONS)
 
 

@@ -377,9 +377,6 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str | None
     for row in rows[world.model.bodies.motion.numpy()[rows] != Motion.DYNAMIC][:1].tolist():
         found = layout.scene_bodies[layout.source[row]]
         raise ValueError(f"body: {found.name} is {found.motion.name.lower()}, and an impulse cannot move it")
-    off = chosen[world.state.active.numpy()[rows] == 0]
-    if len(off):
-        raise ValueError(f"body: {shown(body)} is switched off in environment {off[0]}, and an impulse cannot move it")
     index = rows - layout.first_body[chosen]
     mass = world.model.bodies.mass.numpy()[rows]
     velocities = {"linear_velocity": read(world, "linear_velocity")[chosen, index] + push / mass[:, None]}

@@ -357,8 +357,8 @@ class Simulator:
             envs: indices of the environments, or a mask, as for `set`; None for all.
 
         Raises:
-            ValueError: an environment has no such body, the body is static, kinematic or switched off, or a value has
-                the wrong shape or is not finite.
+            ValueError: an environment has no such body, the body is static or kinematic, or a value has the wrong shape
+                or is not finite.
         """
         quantities.apply_impulse(self._world, impulse, point, body, envs)
 
